@@ -1,0 +1,281 @@
+//! The container of the RGL material database: named tensors behind a header.
+//!
+//! All numbers are little-endian:
+//! ```text
+//! "tensor_file\0"  u8 major = 1  u8 minor = 0  u32 number of fields
+//! per field:       u16 length of name, name, u16 rank, u8 type, u64 offset, u64 shape[rank]
+//! the data:        each tensor at its offset (from the start of the file), row-major, aligned to 8
+//! ```
+//! The layout is that of the files published with Dupuy & Jakob, *An Adaptive Parameterization for
+//! Efficient Material Acquisition and Rendering*, 2018. Type numbers follow Mitsuba's `Struct::Type`.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use crate::error::Error;
+
+/// First bytes of every tensor file.
+pub const MAGIC: &[u8; 12] = b"tensor_file\0";
+const VERSION: [u8; 2] = [1, 0];
+const ALIGNMENT: usize = 8;
+/// A field with an empty name and rank 0: lengths, type and offset.
+const SMALLEST_FIELD: usize = 2 + 2 + 1 + 8;
+
+/// Element type of a tensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+#[allow(missing_docs)]
+pub enum DType {
+    UInt8 = 1,
+    Int8 = 2,
+    UInt16 = 3,
+    Int16 = 4,
+    UInt32 = 5,
+    Int32 = 6,
+    UInt64 = 7,
+    Int64 = 8,
+    Float16 = 9,
+    Float32 = 10,
+    Float64 = 11,
+}
+
+impl DType {
+    const ALL: [DType; 11] = [
+        DType::UInt8,
+        DType::Int8,
+        DType::UInt16,
+        DType::Int16,
+        DType::UInt32,
+        DType::Int32,
+        DType::UInt64,
+        DType::Int64,
+        DType::Float16,
+        DType::Float32,
+        DType::Float64,
+    ];
+
+    fn from_code(code: u8) -> Option<DType> {
+        Self::ALL.into_iter().find(|dtype| *dtype as u8 == code)
+    }
+
+    /// Bytes of one element.
+    #[must_use]
+    pub fn size(self) -> usize {
+        match self {
+            DType::UInt8 | DType::Int8 => 1,
+            DType::UInt16 | DType::Int16 | DType::Float16 => 2,
+            DType::UInt32 | DType::Int32 | DType::Float32 => 4,
+            DType::UInt64 | DType::Int64 | DType::Float64 => 8,
+        }
+    }
+}
+
+/// One named tensor; the data are the file's bytes, row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Field<'a> {
+    /// Name, unique within the file.
+    pub name: String,
+    /// Element type.
+    pub dtype: DType,
+    /// Extent of each dimension, slowest first.
+    pub shape: Vec<usize>,
+    /// Little-endian elements: product of `shape` times the size of `dtype` bytes.
+    pub data: Cow<'a, [u8]>,
+}
+
+impl Field<'_> {
+    /// A tensor of floats.
+    #[must_use]
+    pub fn from_f32(name: &str, shape: &[usize], values: &[f32]) -> Field<'static> {
+        let data: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        Field { name: name.to_owned(), dtype: DType::Float32, shape: shape.to_vec(), data: data.into() }
+    }
+
+    /// A vector of bytes: a flag, a text, a bit mask.
+    #[must_use]
+    pub fn from_bytes(name: &str, values: &[u8]) -> Field<'static> {
+        Field {
+            name: name.to_owned(),
+            dtype: DType::UInt8,
+            shape: vec![values.len()],
+            data: values.to_vec().into(),
+        }
+    }
+
+    /// The elements of a float32 tensor.
+    pub(crate) fn to_f32(&self) -> Vec<f32> {
+        let decode = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+        self.data.chunks_exact(4).map(decode).collect()
+    }
+}
+
+/// The tensors of a file in the order of its header.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TensorFile<'a> {
+    /// The tensors.
+    pub fields: Vec<Field<'a>>,
+}
+
+impl<'a> TensorFile<'a> {
+    /// Decodes the bytes of a file; `path` serves the error messages only.
+    ///
+    /// Nothing is allocated that a claim in the header could make larger than the file itself.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a wrong magic, version, type or name, [`Error::Size`] where header and
+    /// length of the file disagree, trailing bytes included.
+    pub fn parse(path: &Path, bytes: &'a [u8]) -> Result<TensorFile<'a>, Error> {
+        let mut header = Cursor { path, bytes, at: 0 };
+        let magic = header.take(MAGIC.len(), "magic")?;
+        if magic != MAGIC {
+            let found = format!("{:?}", String::from_utf8_lossy(magic));
+            return Err(Error::invalid(path, "magic", found, "\"tensor_file\\0\""));
+        }
+        let version = header.take(2, "version")?;
+        if version != VERSION {
+            let found = format!("{}.{}", version[0], version[1]);
+            return Err(Error::invalid(path, "tensor file version", found, "1.0"));
+        }
+        let count = header.u32("number of fields")? as usize;
+        let most = (bytes.len() - header.at) / SMALLEST_FIELD;
+        if count > most {
+            let expected = format!("at most {most} in a file of {} bytes", bytes.len());
+            return Err(Error::invalid(path, "number of fields", count, expected));
+        }
+        let mut fields: Vec<Field> = Vec::with_capacity(count);
+        let mut end = 0;
+        for _ in 0..count {
+            let (field, field_end) = header.field()?;
+            if fields.iter().any(|other| other.name == field.name) {
+                let found = format!("`{}` twice", field.name);
+                return Err(Error::invalid(path, "field names", found, "each name once"));
+            }
+            fields.push(field);
+            end = end.max(field_end);
+        }
+        let end = end.max(header.at);
+        if end != bytes.len() {
+            return Err(Error::size(path, bytes.len(), end, "end of the last tensor"));
+        }
+        Ok(TensorFile { fields })
+    }
+
+    /// The tensor called `name`.
+    #[must_use]
+    pub fn get(&self, name: &str) -> Option<&Field<'a>> {
+        self.fields.iter().find(|field| field.name == name)
+    }
+
+    /// The bytes of the file that holds these tensors.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let header_size: usize = MAGIC.len()
+            + VERSION.len()
+            + size_of::<u32>()
+            + self.fields.iter().map(|f| SMALLEST_FIELD + f.name.len() + 8 * f.shape.len()).sum::<usize>();
+        let mut out = Vec::with_capacity(header_size);
+        out.extend_from_slice(MAGIC);
+        out.extend_from_slice(&VERSION);
+        out.extend_from_slice(&(self.fields.len() as u32).to_le_bytes());
+        let mut offset = header_size;
+        for field in &self.fields {
+            offset = offset.next_multiple_of(ALIGNMENT);
+            out.extend_from_slice(&(field.name.len() as u16).to_le_bytes());
+            out.extend_from_slice(field.name.as_bytes());
+            out.extend_from_slice(&(field.shape.len() as u16).to_le_bytes());
+            out.push(field.dtype as u8);
+            out.extend_from_slice(&(offset as u64).to_le_bytes());
+            for &extent in &field.shape {
+                out.extend_from_slice(&(extent as u64).to_le_bytes());
+            }
+            offset += field.data.len();
+        }
+        for field in &self.fields {
+            out.resize(out.len().next_multiple_of(ALIGNMENT), 0);
+            out.extend_from_slice(&field.data);
+        }
+        out
+    }
+
+    /// Writes the tensors to `path`.
+    ///
+    /// # Errors
+    /// [`Error::Write`] when the operating system refuses.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<(), Error> {
+        crate::error::write(path.as_ref(), &self.to_bytes())
+    }
+}
+
+/// Reads the header from front to back.
+struct Cursor<'a, 'p> {
+    path: &'p Path,
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a, '_> {
+    fn take(&mut self, count: usize, what: &str) -> Result<&'a [u8], Error> {
+        let rest = &self.bytes[self.at..];
+        if rest.len() < count {
+            let expected = self.at + count;
+            return Err(Error::size(
+                self.path,
+                self.bytes.len(),
+                expected,
+                &format!("at least, to hold the {what}"),
+            ));
+        }
+        self.at += count;
+        Ok(&rest[..count])
+    }
+
+    fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N], Error> {
+        let mut out = [0; N];
+        out.copy_from_slice(self.take(N, what)?);
+        Ok(out)
+    }
+
+    fn u16(&mut self, what: &str) -> Result<u16, Error> {
+        self.array(what).map(u16::from_le_bytes)
+    }
+
+    fn u32(&mut self, what: &str) -> Result<u32, Error> {
+        self.array(what).map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self, what: &str) -> Result<u64, Error> {
+        self.array(what).map(u64::from_le_bytes)
+    }
+
+    /// Decodes one field; returns it and where its data end.
+    fn field(&mut self) -> Result<(Field<'a>, usize), Error> {
+        let name_length = self.u16("length of a field's name")? as usize;
+        let name = self.take(name_length, "name of a field")?;
+        let name = str::from_utf8(name)
+            .map_err(|_| Error::invalid(self.path, "name of a field", format!("{name:?}"), "UTF-8"))?
+            .to_owned();
+        let rank = self.u16("rank of a field")? as usize;
+        let [code] = self.array("type of a field")?;
+        let dtype = DType::from_code(code)
+            .ok_or_else(|| Error::invalid(self.path, format!("type of field `{name}`"), code, "1 to 11"))?;
+        let offset = self.u64("offset of a field")?;
+        let shape = self.take(rank * 8, "shape of a field")?;
+        let shape: Vec<u64> = shape
+            .chunks_exact(8)
+            .map(|b| u64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]))
+            .collect();
+        let range = shape
+            .iter()
+            .try_fold(dtype.size() as u64, |size, &extent| size.checked_mul(extent))
+            .and_then(|size| Some(offset..offset.checked_add(size)?))
+            .filter(|range| range.end <= self.bytes.len() as u64);
+        let Some(range) = range else {
+            let found = format!("shape {shape:?} of {dtype:?} at offset {offset}");
+            let expected = format!("data that end within the file's {} bytes", self.bytes.len());
+            return Err(Error::invalid(self.path, format!("field `{name}`"), found, expected));
+        };
+        let data = &self.bytes[range.start as usize..range.end as usize];
+        let shape = shape.into_iter().map(|extent| extent as usize).collect();
+        Ok((Field { name, dtype, shape, data: data.into() }, range.end as usize))
+    }
+}
