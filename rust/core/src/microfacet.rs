@@ -1,0 +1,274 @@
+//! The analytic BRDF: a Lambertian lobe under an anisotropic GGX lobe (Walter et al. 2007) with
+//! exact dielectric Fresnel reflectance per colour channel and separable Smith masking.
+//!
+//! f_a = k_d/π + F D G / (4 cosθ_l cosθ_v), De Oliveira et al., *A Hybrid Neural-Microfacet BRDF
+//! Model*, eq. 3. It is reciprocal by construction. It is not energy conserving: k_d and the
+//! microfacet lobe are fitted independently, as in the paper.
+
+use std::f32::consts::{FRAC_1_PI, PI};
+
+/// Smallest roughness: below it, the lobe is narrower than float32 half vectors resolve.
+pub const MIN_ALPHA: f32 = 1e-4;
+
+/// Range of the relative index of refraction (the paper, §3.2).
+pub const ETA_RANGE: [f32; 2] = [1.0, 10.0];
+
+/// Parameters p = (k_d, η, α) of the analytic BRDF.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Microfacet {
+    /// Diffuse albedo per channel, linear RGB, in [0, 1].
+    pub kd: [f32; 3],
+    /// Relative index of refraction per channel, in [1, 10].
+    pub eta: [f32; 3],
+    /// GGX roughness along x and y, in [[`MIN_ALPHA`], 1].
+    pub alpha: [f32; 2],
+}
+
+impl Microfacet {
+    /// Whether every parameter is in its range.
+    ///
+    /// # Errors
+    /// The name, value and range of the first parameter that is not.
+    pub fn validate(&self) -> Result<(), String> {
+        let check = |name: &str, values: &[f32], [low, high]: [f32; 2]| match values
+            .iter()
+            .find(|v| !(low..=high).contains(*v))
+        {
+            Some(v) => Err(format!("{name} is {v}, expected a value in [{low}, {high}]")),
+            None => Ok(()),
+        };
+        check("kd", &self.kd, [0.0, 1.0])?;
+        check("eta", &self.eta, ETA_RANGE)?;
+        check("alpha", &self.alpha, [MIN_ALPHA, 1.0])
+    }
+
+    /// Whether the lobe is the same in every azimuth.
+    #[must_use]
+    pub fn is_isotropic(&self) -> bool {
+        self.alpha[0] == self.alpha[1]
+    }
+
+    /// α times a factor, kept in its range.
+    #[must_use]
+    pub fn scaled_alpha(&self, factor: f32) -> [f32; 2] {
+        self.alpha.map(|a| (a * factor).clamp(MIN_ALPHA, 1.0))
+    }
+
+    /// f_a for directions above the horizon. Branch-free, for the lanes of a tile.
+    #[inline(always)]
+    #[must_use]
+    pub fn eval(&self, light: [f32; 3], view: [f32; 3]) -> [f32; 3] {
+        let geometry = self.geometry(light, view);
+        let specular = geometry.ndf / (geometry.light_masking * geometry.view_masking);
+        let channel = |c: usize| self.kd[c] * FRAC_1_PI + fresnel(geometry.cos_d, self.eta[c]) * specular;
+        [channel(0), channel(1), channel(2)]
+    }
+
+    /// The parts of the microfacet term that the colour channels share.
+    #[inline(always)]
+    #[must_use]
+    pub fn geometry(&self, light: [f32; 3], view: [f32; 3]) -> Geometry {
+        let [ax, ay] = self.alpha;
+        // Half vector, not normalised. D depends on directions through
+        // r = |h|² / ((h_x/α_x)² + (h_y/α_y)² + h_z²) alone, which is 1 at h = n and falls off it;
+        // no difference of close numbers occurs however small α is.
+        let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+        let (sx, sy) = (h[0] / ax, h[1] / ay);
+        let length_squared = h[0] * h[0] + h[1] * h[1] + h[2] * h[2];
+        let r = length_squared / (sx * sx + sy * sy + h[2] * h[2]).max(f32::MIN_POSITIVE);
+        Geometry {
+            ndf: r * r / (PI * ax * ay),
+            light_masking: masking_denominator(light, self.alpha),
+            view_masking: masking_denominator(view, self.alpha),
+            // For unit vectors |l + v| = 2 cosθ_d, which stays accurate at grazing differences.
+            cos_d: (0.5 * length_squared.sqrt()).min(1.0),
+        }
+    }
+}
+
+/// What [`Microfacet::geometry`] returns.
+#[derive(Clone, Copy, Debug)]
+pub struct Geometry {
+    /// D(h) in sr⁻¹.
+    pub ndf: f32,
+    /// [`masking_denominator`] of the light.
+    pub light_masking: f32,
+    /// [`masking_denominator`] of the view.
+    pub view_masking: f32,
+    /// Cosine between the half vector and either direction.
+    pub cos_d: f32,
+}
+
+/// cosθ + √(cos²θ + (α_x x)² + (α_y y)²), with which Smith's G₁ = 2 cosθ / this.
+///
+/// Masking over 4 cosθ_l cosθ_v is then 1 / (this for the light · this for the view), with no
+/// division by a cosine that may vanish.
+#[inline(always)]
+#[must_use]
+pub fn masking_denominator(direction: [f32; 3], alpha: [f32; 2]) -> f32 {
+    let [x, y, z] = direction;
+    let (x, y) = (x * alpha[0], y * alpha[1]);
+    (z + (z * z + x * x + y * y).sqrt()).max(f32::MIN_POSITIVE)
+}
+
+/// Reflectance of a smooth dielectric with relative index `eta` ≥ 1 for unpolarized light that
+/// arrives from outside at cosine `cos`.
+///
+/// The form of Cook & Torrance 1982, with g − c written as (η² − 1)/(g + c): it keeps its relative
+/// accuracy where η is close to 1.
+#[inline(always)]
+#[must_use]
+pub fn fresnel(cos: f32, eta: f32) -> f32 {
+    let excess = (eta - 1.0) * (eta + 1.0);
+    let sum = (excess + cos * cos).sqrt() + cos;
+    // At η = 1 and cos = 0 both vanish; any reflectance is right there, and 0 is what η = 1 has.
+    let sum = sum.max(f32::MIN_POSITIVE);
+    let difference = excess / sum;
+    let ratio = difference / sum;
+    let parallel = (cos * sum - 1.0) / (cos * difference + 1.0);
+    0.5 * ratio * ratio * (1.0 + parallel * parallel)
+}
+
+/// The same functions in float64, written as the paper prints them. What tests compare against.
+pub mod reference {
+    use super::Microfacet;
+    use std::f64::consts::PI;
+
+    /// f_a for directions above the horizon.
+    #[must_use]
+    pub fn eval(p: &Microfacet, light: [f64; 3], view: [f64; 3]) -> [f64; 3] {
+        let alpha = p.alpha.map(f64::from);
+        let half = normalize([light[0] + view[0], light[1] + view[1], light[2] + view[2]]);
+        let cos_d = dot(light, half);
+        let specular = ndf(half, alpha) * g1(light, alpha) * g1(view, alpha) / (4.0 * light[2] * view[2]);
+        std::array::from_fn(|c| f64::from(p.kd[c]) / PI + fresnel(cos_d, p.eta[c].into()) * specular)
+    }
+
+    /// GGX distribution of normals (Walter et al. 2007, eq. 33; anisotropic form of Heitz 2014, eq. 85).
+    #[must_use]
+    pub fn ndf(half: [f64; 3], alpha: [f64; 2]) -> f64 {
+        let slope = (half[0] / alpha[0]).powi(2) + (half[1] / alpha[1]).powi(2);
+        1.0 / (PI * alpha[0] * alpha[1] * (slope + half[2].powi(2)).powi(2))
+    }
+
+    /// Smith's masking (Heitz 2014, eq. 43 and 72).
+    #[must_use]
+    pub fn g1(v: [f64; 3], alpha: [f64; 2]) -> f64 {
+        let tangent_squared = ((alpha[0] * v[0]).powi(2) + (alpha[1] * v[1]).powi(2)) / v[2].powi(2);
+        2.0 / (1.0 + (1.0 + tangent_squared).sqrt())
+    }
+
+    /// Fresnel's equations by Snell's law.
+    #[must_use]
+    pub fn fresnel(cos_i: f64, eta: f64) -> f64 {
+        let cos_t = (1.0 - (1.0 - cos_i * cos_i) / (eta * eta)).sqrt();
+        let perpendicular = (cos_i - eta * cos_t) / (cos_i + eta * cos_t);
+        let parallel = (eta * cos_i - cos_t) / (eta * cos_i + cos_t);
+        0.5 * (perpendicular.powi(2) + parallel.powi(2))
+    }
+
+    fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+        a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    }
+
+    fn normalize(v: [f64; 3]) -> [f64; 3] {
+        v.map(|x| x / dot(v, v).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn direction() -> impl Strategy<Value = [f64; 3]> {
+        (1e-3..1.0f64, 0.0..std::f64::consts::TAU).prop_map(|(z, phi)| {
+            let r = (1.0 - z * z).sqrt();
+            [r * phi.cos(), r * phi.sin(), z]
+        })
+    }
+
+    fn parameters() -> impl Strategy<Value = Microfacet> {
+        (
+            prop::array::uniform3(0.0..1.0f32),
+            prop::array::uniform3(1.0..10.0f32),
+            prop::array::uniform2(0.01..1.0f32),
+        )
+            .prop_map(|(kd, eta, alpha)| Microfacet { kd, eta, alpha })
+    }
+
+    proptest! {
+        #[test]
+        fn eval_is_the_reference(p in parameters(), light in direction(), view in direction()) {
+            // Both see the same rounded directions: what is compared is the arithmetic alone.
+            let (l, v) = (light.map(|x| x as f32), view.map(|x| x as f32));
+            let truth = reference::eval(&p, l.map(f64::from), v.map(f64::from));
+            // |l + v| = 2 cosθ_d holds for exactly unit vectors; rounding them moves F by as much.
+            for (f, truth) in p.eval(l, v).into_iter().zip(truth) {
+                prop_assert!((f64::from(f) - truth).abs() <= 3e-5 * truth, "{} against {}", f, truth);
+            }
+        }
+
+        #[test]
+        fn eval_is_reciprocal(p in parameters(), light in direction(), view in direction()) {
+            let (l, v) = (light.map(|x| x as f32), view.map(|x| x as f32));
+            prop_assert_eq!(p.eval(l, v), p.eval(v, l));
+        }
+
+        #[test]
+        fn eval_is_finite_and_not_negative_at_any_grazing_angle(
+            p in parameters(), x in -1.0..1.0f32, y in -1.0..1.0f32, zl in 0.0..1e-30f32, zv in 0.0..1e-30f32,
+        ) {
+            for f in p.eval([x, y, zl], [-x, -y, zv]).into_iter().chain(p.eval([x, y, zl], [x, y, zv])) {
+                prop_assert!(f.is_finite() && f >= 0.0);
+            }
+        }
+
+        #[test]
+        fn fresnel_is_the_reference(cos in 0.0..1.0f32, eta in 1.0..10.0f32) {
+            let truth = reference::fresnel(cos.into(), eta.into());
+            prop_assert!((f64::from(fresnel(cos, eta)) - truth).abs() <= 2e-6 * truth.max(1e-6));
+        }
+    }
+
+    #[test]
+    fn fresnel_has_its_known_values() {
+        assert!((fresnel(1.0, 1.5) - 0.04).abs() < 1e-7);
+        assert!((fresnel(0.0, 1.5) - 1.0).abs() < 1e-6);
+        assert_eq!(fresnel(0.3, 1.0), 0.0);
+        // Brewster's angle: tan θ = η, and only the perpendicular half remains.
+        let cos = 1.0 / (1.0f32 + 1.5 * 1.5).sqrt();
+        assert!((fresnel(cos, 1.5) - 0.073_964_5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn ndf_integrates_to_one_over_projected_area() {
+        for alpha in [[0.1, 0.1], [0.3, 0.7], [1.0, 1.0]] {
+            let p = Microfacet { kd: [0.0; 3], eta: [1.5; 3], alpha };
+            let (n_theta, n_phi) = (4000, 64);
+            let mut sum = 0.0;
+            for i in 0..n_theta {
+                // Midpoints in t = tan(θ/2)-like spacing that resolves the peak.
+                let t = (f64::from(i) + 0.5) / f64::from(n_theta);
+                let theta = t * t * std::f64::consts::FRAC_PI_2;
+                let d_theta = 2.0 * t * std::f64::consts::FRAC_PI_2 / f64::from(n_theta);
+                for j in 0..n_phi {
+                    let phi = (f64::from(j) + 0.5) / f64::from(n_phi) * std::f64::consts::TAU;
+                    let h = [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()].map(|x| x as f32);
+                    let d_omega = theta.sin() * d_theta * std::f64::consts::TAU / f64::from(n_phi);
+                    sum += f64::from(p.geometry(h, h).ndf) * theta.cos() * d_omega;
+                }
+            }
+            assert!((sum - 1.0).abs() < 1e-4, "α = {alpha:?}: ∫ D cosθ = {sum}");
+        }
+    }
+
+    #[test]
+    fn parameters_out_of_range_are_named() {
+        let p = Microfacet { kd: [0.5; 3], eta: [1.5; 3], alpha: [0.1; 2] };
+        assert!(p.validate().is_ok());
+        assert!(Microfacet { eta: [1.5, 0.9, 1.5], ..p }.validate().unwrap_err().contains("eta is 0.9"));
+        assert!(Microfacet { alpha: [0.0, 0.1], ..p }.validate().unwrap_err().contains("alpha is 0"));
+        assert!(Microfacet { kd: [f32::NAN, 0.0, 0.0], ..p }.validate().unwrap_err().contains("kd is NaN"));
+    }
+}

@@ -1,0 +1,286 @@
+//! `neural`: the network-only baseline of the hybrid's paper, after Zeltner et al. 2024, *Real-time
+//! Neural Appearance Models*: a network on directions seen from learned shading frames.
+//!
+//! f = exp ψ(F₁l, F₁v, F₂l, F₂v, F₃l, F₃v; z) per colour channel. The three frames F_k are a linear
+//! function of the latent code z, made orthonormal; network and frame layer are shared by a library,
+//! and z (12 or 16 numbers, as many as the hybrid spends) is all that a material has of its own.
+//!
+//! z, and with it the frames, is constant for a material. The frames are rotations, which fold into
+//! the first layer: at run time the network has the six Cartesian inputs.
+
+use std::sync::Arc;
+
+use glam::{Mat3, Vec3};
+
+use crate::brdf::{Brdf, is_lit, mask_unlit};
+use crate::dispatch;
+use crate::lobes::{Lobes, PROXY_ALPHAS};
+use crate::math::exp;
+use crate::network::{Layer, MAX_WIDTH, Network};
+use crate::simd::{LANES, Lane3};
+
+/// Learned frames.
+pub const FRAMES: usize = 3;
+/// Network inputs that change with the directions: light and view in each frame.
+pub const FEATURES: usize = 6 * FRAMES;
+/// Numbers that the frame layer yields: an offset of the normal and one of the tangent, per frame.
+pub const FRAME_OUTPUTS: usize = 6 * FRAMES;
+
+/// What the materials of a library share.
+#[derive(Clone, Debug)]
+pub struct Shared {
+    /// ψ, with [`FEATURES`] inputs and z.
+    pub network: Network,
+    /// The frame layer: z to [`FRAME_OUTPUTS`] numbers.
+    pub frames: Layer,
+}
+
+/// One material of the neural baseline.
+#[derive(Clone, Debug)]
+pub struct Neural {
+    shared: Arc<Shared>,
+    latent: Vec<f32>,
+    bound: f32,
+    /// ψ with this material's frames and latent code folded into its first layer.
+    network: Network,
+    first_bias: Vec<f32>,
+    lobes: Lobes,
+}
+
+impl Neural {
+    /// A material with latent code z; `bound` is the largest output that the fit saw, beyond which
+    /// exp ψ does not follow.
+    ///
+    /// # Errors
+    /// In words, if network, frame layer and latent code do not fit together.
+    pub fn new(shared: Arc<Shared>, latent: Vec<f32>, bound: f32) -> Result<Self, String> {
+        let network = &shared.network;
+        if network.features() != FEATURES || network.outputs() != 3 {
+            return Err(format!(
+                "the network maps {} features to {} values, expected {FEATURES} to 3",
+                network.features(),
+                network.outputs()
+            ));
+        }
+        if network.latent() != latent.len() {
+            return Err(format!(
+                "the latent code has {} numbers, expected {}",
+                latent.len(),
+                network.latent()
+            ));
+        }
+        if shared.frames.outputs() != FRAME_OUTPUTS || shared.frames.inputs() != latent.len() {
+            return Err(format!(
+                "the frame layer maps {} numbers to {}, expected {} to {FRAME_OUTPUTS}",
+                shared.frames.inputs(),
+                shared.frames.outputs(),
+                latent.len()
+            ));
+        }
+        if !latent.iter().all(|z| z.is_finite()) || !bound.is_finite() {
+            return Err("the latent code or the bound of the output is not finite".into());
+        }
+        let network = fold_frames(&shared, &latent)?;
+        let first_bias = network.fold(&[]);
+        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
+        let mut neural = Neural { shared, latent, bound, network, first_bias, lobes };
+        neural.lobes = Lobes::fit(&neural, &PROXY_ALPHAS);
+        Ok(neural)
+    }
+
+    /// Network and frame layer of the library.
+    #[must_use]
+    pub fn shared(&self) -> &Arc<Shared> {
+        &self.shared
+    }
+
+    /// The network at run time: six Cartesian inputs, no latent code.
+    #[must_use]
+    pub fn folded_network(&self) -> &Network {
+        &self.network
+    }
+
+    /// z.
+    #[must_use]
+    pub fn latent(&self) -> &[f32] {
+        &self.latent
+    }
+
+    /// The largest output that counts.
+    #[must_use]
+    pub fn bound(&self) -> f32 {
+        self.bound
+    }
+
+    /// The material's sampler: a proxy that was fitted to the network.
+    #[must_use]
+    pub fn lobes(&self) -> Lobes {
+        self.lobes
+    }
+}
+
+/// The frame that six numbers stand for: offsets of the normal from z and of the tangent from x,
+/// then Gram and Schmidt. The matrix takes a direction to (tangent, bitangent, normal) coordinates.
+#[must_use]
+pub fn frame(offsets: &[f32]) -> Mat3 {
+    let normal = (Vec3::from_slice(offsets) + Vec3::Z).normalize_or(Vec3::Z);
+    let tangent = Vec3::from_slice(&offsets[3..]) + Vec3::X;
+    let tangent = (tangent - normal * normal.dot(tangent)).normalize_or(normal.any_orthonormal_vector());
+    Mat3::from_cols(tangent, normal.cross(tangent), normal).transpose()
+}
+
+/// ψ with light and view as inputs: W₁ [F₁ 0; 0 F₁; …] in place of W₁, and W_z z in the bias.
+fn fold_frames(shared: &Shared, latent: &[f32]) -> Result<Network, String> {
+    let offsets: Vec<f32> = shared
+        .frames
+        .weight
+        .chunks_exact(latent.len())
+        .zip(&shared.frames.bias)
+        .map(|(row, bias)| row.iter().zip(latent).map(|(w, z)| w * z).sum::<f32>() + bias)
+        .collect();
+    let first = &shared.network.layers()[0];
+    let mut weight = Vec::with_capacity(6 * first.outputs());
+    for row in first.weight.chunks_exact(first.inputs()) {
+        let mut folded = [Vec3::ZERO; 2];
+        for (k, offsets) in offsets.chunks_exact(6).enumerate() {
+            let to_world = frame(offsets).transpose();
+            for (side, folded) in folded.iter_mut().enumerate() {
+                *folded += to_world * Vec3::from_slice(&row[6 * k + 3 * side..]);
+            }
+        }
+        weight.extend(folded.iter().flat_map(|v| v.to_array()));
+    }
+    let mut bias = shared.network.fold(latent);
+    bias.truncate(first.outputs());
+    let mut layers = vec![Layer { weight, bias }];
+    layers.extend_from_slice(&shared.network.layers()[1..]);
+    Network::new(layers, 6, shared.network.activation())
+}
+
+impl Brdf for Neural {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        let mut f = Vec3::ZERO;
+        if is_lit(light, view) {
+            eval_one(self, light, view, &mut f);
+        }
+        f
+    }
+
+    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        eval_tile(self, light, view, out);
+        mask_unlit(light, view, out);
+    }
+}
+
+dispatch! {
+    fn eval_one<I>(material: &Neural, light: Vec3, view: Vec3, f: &mut Vec3) {
+        let mut y = [0.0; MAX_WIDTH];
+        let x = [light.x, light.y, light.z, view.x, view.y, view.z];
+        material.network.forward_one::<I>(&material.first_bias, &x, &mut y);
+        *f = Vec3::from_array([0, 1, 2].map(|c| bounded_exp(y[c], material.bound)));
+    }
+}
+
+dispatch! {
+    fn eval_tile<I>(material: &Neural, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        let x = [light[0], light[1], light[2], view[0], view[1], view[2]];
+        let mut y = [[0.0; LANES]; MAX_WIDTH];
+        material.network.forward_tile::<I>(&material.first_bias, &x, &mut y);
+        for (out, y) in out.iter_mut().zip(&y) {
+            for lane in 0..LANES {
+                out[lane] = bounded_exp(y[lane], material.bound);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn bounded_exp(y: f32, bound: f32) -> f32 {
+    exp(if bound < y { bound } else { y })
+}
+
+/// The same model in float64, with the frames applied to the directions. What tests compare against.
+pub mod reference {
+    use super::{Neural, frame};
+    use crate::network;
+    use glam::DVec3;
+
+    /// f for directions above the horizon.
+    #[must_use]
+    pub fn eval(material: &Neural, light: DVec3, view: DVec3) -> [f64; 3] {
+        let latent: Vec<f64> = material.latent.iter().map(|&z| z.into()).collect();
+        let layer = &material.shared.frames;
+        let offsets: Vec<f32> = layer
+            .weight
+            .chunks_exact(latent.len())
+            .zip(&layer.bias)
+            .map(|(row, &bias)| {
+                (row.iter().zip(&latent).map(|(&w, z)| f64::from(w) * z).sum::<f64>() + f64::from(bias))
+                    as f32
+            })
+            .collect();
+        let features: Vec<f64> = offsets
+            .chunks_exact(6)
+            .flat_map(|offsets| {
+                let axes = frame(offsets).transpose();
+                [light, view].map(|w| [0, 1, 2].map(|i| axes.col(i).as_dvec3().dot(w))).concat()
+            })
+            .collect();
+        let y = network::reference::forward(&material.shared.network, &features, &latent);
+        std::array::from_fn(|c| y[c].min(material.bound.into()).exp())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::network::{Activation, tests::patterned};
+
+    fn material() -> Neural {
+        let network = patterned(&[FEATURES + 12, 32, 32, 3], FEATURES, Activation::HardGelu);
+        let weight = (0..FRAME_OUTPUTS * 12).map(|i| (i as f32 * 0.77).sin() * 0.3).collect();
+        let frames = Layer { weight, bias: vec![0.1; FRAME_OUTPUTS] };
+        let latent = (0..12).map(|i| (i as f32).cos()).collect();
+        Neural::new(Arc::new(Shared { network, frames }), latent, 3.0).unwrap()
+    }
+
+    #[test]
+    fn folded_network_is_the_reference_in_every_kernel() {
+        let material = material();
+        let direction = |i: usize| {
+            let (z, phi) = (0.05 + 0.95 * (i as f32 * 0.754_877_7).fract(), i as f32 * 2.399);
+            let r = (1.0 - z * z).sqrt();
+            Vec3::new(r * phi.cos(), r * phi.sin(), z)
+        };
+        let light: Vec<_> = (0..150).map(direction).collect();
+        let view: Vec<_> = (0..150).map(|i| direction(i * 7 + 3)).collect();
+        let mut batch = vec![Vec3::ZERO; light.len()];
+        material.eval_batch(&light, &view, &mut batch);
+        for i in 0..light.len() {
+            assert_eq!(batch[i], material.eval(light[i], view[i]));
+            let truth = reference::eval(&material, light[i].as_dvec3(), view[i].as_dvec3());
+            for (f, truth) in batch[i].to_array().into_iter().zip(truth) {
+                assert!((f64::from(f) - truth).abs() < 1e-5 * truth, "{f} against {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn frames_are_rotations_and_start_at_identity() {
+        assert_eq!(frame(&[0.0; 6]), Mat3::IDENTITY);
+        for offsets in [[0.3, -0.8, 0.5, 0.2, 0.9, -0.1], [0.0, 0.0, -1.0, -1.0, 0.0, 0.0]] {
+            let f = frame(&offsets);
+            assert!((f * f.transpose()).abs_diff_eq(Mat3::IDENTITY, 1e-6));
+            assert!((f.determinant() - 1.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused() {
+        let good = material();
+        assert!(Neural::new(good.shared.clone(), vec![0.0; 5], 1.0).unwrap_err().contains("expected 12"));
+        assert!(
+            Neural::new(good.shared.clone(), vec![f32::NAN; 12], 1.0).unwrap_err().contains("not finite")
+        );
+    }
+}
