@@ -1,18 +1,27 @@
-//! Readers and writers of measured BRDF formats.
+//! Readers and writers of measured BRDFs: the MERL, RGL and UTIA databases.
+//!
+//! ```no_run
+//! use glimt_core::{Brdf, Vec3};
+//! use glimt_measured::Measured;
+//!
+//! let material = Measured::open("chm_orange_rgb.bsdf")?;
+//! println!("{}: {}", material.name(), material.eval(Vec3::Z, Vec3::Z));
+//! # Ok::<(), glimt_measured::Error>(())
+//! ```
 
 pub mod error;
+mod file;
 pub mod grid;
+mod measured;
+pub mod merl;
 pub mod rgl;
 pub mod spectrum;
 pub mod tensor;
+pub mod utia;
 pub mod warp;
 
-use std::path::Path;
-
 pub use error::Error;
+pub use measured::Measured;
+pub use merl::{Merl, write_merl};
 pub use rgl::Rgl;
-
-/// The file's name without directory and extension.
-fn file_stem(path: &Path) -> String {
-    path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
-}
+pub use utia::{Utia, write_utia};

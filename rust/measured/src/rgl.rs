@@ -20,7 +20,8 @@ use std::path::Path;
 use glam::{Vec2, Vec3, Vec4};
 use glimt_core::{Brdf, Sample, SampleBrdf, is_lit};
 
-use crate::error::{self, Error};
+use crate::error::Error;
+use crate::file;
 use crate::grid::{Blend, Directions, Extent, Grid};
 use crate::spectrum;
 use crate::tensor::{DType, Field, TensorFile};
@@ -107,7 +108,7 @@ impl Rgl {
     /// [`Error::Read`], and those of [`Rgl::from_bytes`].
     pub fn open(path: impl AsRef<Path>) -> Result<Rgl, Error> {
         let path = path.as_ref();
-        Rgl::from_bytes(path, &error::read(path)?)
+        Rgl::from_bytes(path, &file::read(path)?)
     }
 
     /// Decodes the bytes of a `.bsdf` file; `path` gives the material's name and that in errors.
@@ -410,7 +411,7 @@ impl Fields<'_> {
 
 /// The material's name: the file's, without extension and the database's `_rgb` or `_spec`.
 fn material_name(path: &Path) -> String {
-    let stem = crate::file_stem(path);
+    let stem = file::stem(path);
     let name = stem.strip_suffix("_rgb").or_else(|| stem.strip_suffix("_spec"));
     name.unwrap_or(&stem).to_owned()
 }

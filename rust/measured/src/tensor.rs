@@ -13,6 +13,7 @@ use std::borrow::Cow;
 use std::path::Path;
 
 use crate::error::Error;
+use crate::file;
 
 /// First bytes of every tensor file.
 pub const MAGIC: &[u8; 12] = b"tensor_file\0";
@@ -73,7 +74,7 @@ impl DType {
 /// One named tensor; the data are the file's bytes, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Field<'a> {
-    /// Name, unique within the file.
+    /// Name, unique within the file, at most 65,535 bytes.
     pub name: String,
     /// Element type.
     pub dtype: DType,
@@ -87,6 +88,7 @@ impl Field<'_> {
     /// A tensor of floats.
     #[must_use]
     pub fn from_f32(name: &str, shape: &[usize], values: &[f32]) -> Field<'static> {
+        debug_assert_eq!(shape.iter().product::<usize>(), values.len());
         let data: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         Field { name: name.to_owned(), dtype: DType::Float32, shape: shape.to_vec(), data: data.into() }
     }
@@ -202,7 +204,7 @@ impl<'a> TensorFile<'a> {
     /// # Errors
     /// [`Error::Write`] when the operating system refuses.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<(), Error> {
-        crate::error::write(path.as_ref(), &self.to_bytes())
+        file::write(path.as_ref(), &self.to_bytes())
     }
 }
 
@@ -277,5 +279,109 @@ impl<'a> Cursor<'a, '_> {
         let data = &self.bytes[range.start as usize..range.end as usize];
         let shape = shape.into_iter().map(|extent| extent as usize).collect();
         Ok((Field { name, dtype, shape, data: data.into() }, range.end as usize))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn file() -> TensorFile<'static> {
+        TensorFile {
+            fields: vec![
+                Field::from_bytes("description", b"felt"),
+                Field::from_f32("theta_i", &[3], &[0.0, 0.5, 1.5]),
+                Field::from_f32("ndf", &[2, 2], &[1.0, 2.0, 3.0, 4.0]),
+            ],
+        }
+    }
+
+    fn parse(bytes: &[u8]) -> Result<TensorFile<'_>, Error> {
+        TensorFile::parse(Path::new("felt.bsdf"), bytes)
+    }
+
+    /// The bytes of a file with one float32 field `x` that claims this shape and offset.
+    fn claim(shape: &[u64], offset: u64) -> Vec<u8> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([1, 0, 1, 0, 0, 0, 1, 0, b'x']);
+        bytes.extend((shape.len() as u16).to_le_bytes());
+        bytes.push(DType::Float32 as u8);
+        bytes.extend(offset.to_le_bytes());
+        bytes.extend(shape.iter().flat_map(|extent| extent.to_le_bytes()));
+        bytes
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let bytes = file().to_bytes();
+        assert_eq!(parse(&bytes).unwrap(), file());
+        assert_eq!(parse(&bytes).unwrap().get("ndf").unwrap().to_f32(), [1.0, 2.0, 3.0, 4.0]);
+    }
+
+    #[test]
+    fn the_layout_is_that_of_the_database() {
+        let bytes = file().to_bytes();
+        assert_eq!(&bytes[..18], b"tensor_file\0\x01\0\x03\0\0\0");
+        // First field: name, rank 1, uint8, its offset (the header's 108 bytes aligned to 8), 4 elements.
+        assert_eq!(&bytes[18..20], [11, 0]);
+        assert_eq!(&bytes[20..31], b"description");
+        assert_eq!(&bytes[31..34], [1, 0, 1]);
+        assert_eq!(&bytes[34..50], [112, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 0]);
+        assert_eq!(&bytes[112..116], b"felt");
+        assert_eq!(bytes.len(), 136 + 16);
+    }
+
+    #[test]
+    fn every_truncation_and_any_trailing_byte_is_an_error() {
+        let mut bytes = file().to_bytes();
+        for length in 0..bytes.len() {
+            assert!(parse(&bytes[..length]).is_err(), "{length}");
+        }
+        bytes.push(0);
+        let message = parse(&bytes).unwrap_err().to_string();
+        assert_eq!(message, "felt.bsdf: 153 bytes, expected 152 (end of the last tensor)");
+    }
+
+    #[test]
+    fn a_wrong_magic_version_type_or_name_is_named() {
+        let bytes = file().to_bytes();
+        for (at, value, expected) in [
+            (0, b'T', "felt.bsdf: magic: found \"Tensor_file\\0\", expected \"tensor_file\\0\""),
+            (12, 2, "felt.bsdf: tensor file version: found 2.0, expected 1.0"),
+            (14, 200, "felt.bsdf: number of fields: found 200, expected at most 10 in a file of 152 bytes"),
+            (33, 12, "felt.bsdf: type of field `description`: found 12, expected 1 to 11"),
+        ] {
+            let mut bytes = bytes.clone();
+            bytes[at] = value;
+            assert_eq!(parse(&bytes).unwrap_err().to_string(), expected);
+        }
+        let mut twice = file();
+        twice.fields[2].name = "theta_i".to_owned();
+        assert!(parse(&twice.to_bytes()).unwrap_err().to_string().contains("`theta_i` twice"));
+    }
+
+    #[test]
+    fn claims_beyond_the_file_are_refused_before_anything_is_allocated() {
+        for (shape, offset) in [
+            (&[1_u64 << 40][..], 0),
+            (&[1 << 32, 1 << 32], 0),
+            (&[u64::MAX, u64::MAX], 0),
+            (&[1], u64::MAX),
+            (&[1 << 62], 8),
+        ] {
+            let message = parse(&claim(shape, offset)).unwrap_err().to_string();
+            assert!(message.contains("expected data that end within the file"), "{message}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_mutation_panics(at in 0_usize..152, value: u8, cut in 0_usize..153) {
+            let mut bytes = file().to_bytes();
+            bytes[at] = value;
+            let _ = parse(&bytes);
+            let _ = parse(&bytes[..cut]);
+        }
     }
 }

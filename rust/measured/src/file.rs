@@ -1,0 +1,65 @@
+//! Whole files in and out, with errors that name them.
+
+use std::fs;
+use std::io::Read;
+use std::path::Path;
+
+use crate::error::Error;
+
+/// Reads a whole file.
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, Error> {
+    fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })
+}
+
+/// Reads a file that must hold exactly `size` bytes; a file of another size is not loaded.
+pub(crate) fn read_exactly(path: &Path, size: usize, what: &str) -> Result<Vec<u8>, Error> {
+    let (found, _) = read_start(path, 0)?;
+    if found != size as u64 {
+        return Err(Error::Size {
+            path: path.to_owned(),
+            found,
+            expected: size as u64,
+            what: what.to_owned(),
+        });
+    }
+    read(path)
+}
+
+/// The length of a file and its first bytes, at most `count`.
+pub(crate) fn read_start(path: &Path, count: u64) -> Result<(u64, Vec<u8>), Error> {
+    let read = || {
+        let file = fs::File::open(path)?;
+        let size = file.metadata()?.len();
+        let mut start = Vec::new();
+        file.take(count).read_to_end(&mut start)?;
+        Ok((size, start))
+    };
+    read().map_err(|source| Error::Read { path: path.to_owned(), source })
+}
+
+/// Writes a whole file.
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    fs::write(path, bytes).map_err(|source| Error::Write { path: path.to_owned(), source })
+}
+
+/// The file's name without directory and extension.
+pub(crate) fn stem(path: &Path) -> String {
+    path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Little-endian doubles; the first that is not finite is an error that names the `table`.
+pub(crate) fn doubles<'a>(
+    path: &'a Path,
+    bytes: &'a [u8],
+    table: &'a str,
+) -> impl Iterator<Item = Result<f64, Error>> + 'a {
+    bytes.chunks_exact(8).enumerate().map(move |(index, b)| {
+        let value = f64::from_le_bytes([b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]]);
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            let found = format!("{value} at index {index}");
+            Err(Error::invalid(path, table, found, "finite numbers"))
+        }
+    })
+}

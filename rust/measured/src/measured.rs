@@ -1,0 +1,107 @@
+//! A measured file of any format.
+
+use std::path::Path;
+
+use glam::Vec3;
+use glimt_core::Brdf;
+
+use crate::error::Error;
+use crate::file;
+use crate::merl::{self, Merl};
+use crate::rgl::Rgl;
+use crate::tensor;
+use crate::utia::{self, Encoding, Utia};
+
+/// A measured BRDF as it is: a table and its interpolation.
+///
+/// f is linear RGB in sr⁻¹, never negative; reciprocal only for [`Merl`].
+#[derive(Clone, Debug)]
+pub enum Measured {
+    /// MERL `.binary`.
+    Merl(Merl),
+    /// RGL `.bsdf`.
+    Rgl(Rgl),
+    /// UTIA `.bin`.
+    Utia(Utia),
+}
+
+impl Measured {
+    /// Opens a file by its content: the magic of RGL, the dimensions of MERL, the length of UTIA. A file
+    /// that has none of these is reported as a broken one of the format that its extension names.
+    ///
+    /// # Errors
+    /// [`Error::UnknownFormat`] if the extension names none either, and the errors of the formats.
+    pub fn open(path: impl AsRef<Path>) -> Result<Measured, Error> {
+        let path = path.as_ref();
+        let (size, start) = file::read_start(path, tensor::MAGIC.len() as u64)?;
+        let merl_header: Vec<u8> = merl::BINS.iter().flat_map(|&bins| (bins as i32).to_le_bytes()).collect();
+        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+        if start == tensor::MAGIC {
+            Rgl::open(path).map(Measured::Rgl)
+        } else if start == merl_header {
+            Merl::open(path).map(Measured::Merl)
+        } else if size == utia::FILE_SIZE as u64 {
+            Utia::open(path, Encoding::default()).map(Measured::Utia)
+        } else {
+            match extension.to_ascii_lowercase().as_str() {
+                "bsdf" => Rgl::open(path).map(Measured::Rgl),
+                "binary" => Merl::open(path).map(Measured::Merl),
+                "bin" => Utia::open(path, Encoding::default()).map(Measured::Utia),
+                _ => Err(Error::UnknownFormat {
+                    path: path.to_owned(),
+                    found: format!("{size} bytes that begin with \"{}\"", start.escape_ascii()),
+                }),
+            }
+        }
+    }
+
+    /// The material's name, from that of the file.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match self {
+            Measured::Merl(merl) => merl.name(),
+            Measured::Rgl(rgl) => rgl.name(),
+            Measured::Utia(utia) => utia.name(),
+        }
+    }
+
+    /// What the file says about the material; empty for the formats that say nothing.
+    #[must_use]
+    pub fn description(&self) -> &str {
+        match self {
+            Measured::Rgl(rgl) => rgl.description(),
+            Measured::Merl(_) | Measured::Utia(_) => "",
+        }
+    }
+
+    /// Whether f depends on the difference of the azimuths only.
+    #[must_use]
+    pub fn is_isotropic(&self) -> bool {
+        match self {
+            Measured::Merl(_) => true,
+            Measured::Rgl(rgl) => rgl.is_isotropic(),
+            Measured::Utia(_) => false,
+        }
+    }
+
+    /// Number of negative values in the file, which f takes as 0.
+    #[must_use]
+    pub fn clamped(&self) -> usize {
+        match self {
+            Measured::Merl(merl) => merl.clamped(),
+            Measured::Rgl(rgl) => rgl.clamped(),
+            Measured::Utia(utia) => utia.clamped(),
+        }
+    }
+}
+
+impl Brdf for Measured {
+    #[inline]
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        match self {
+            Measured::Merl(merl) => merl.eval(light, view),
+            Measured::Rgl(rgl) => rgl.eval(light, view),
+            Measured::Utia(utia) => utia.eval(light, view),
+        }
+    }
+}

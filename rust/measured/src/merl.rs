@@ -1,0 +1,441 @@
+//! MERL BRDF database (`.binary`): Matusik, Pfister, Brand & McMillan, *A Data-Driven Reflectance
+//! Model*, 2003.
+//!
+//! Three little-endian int32 (90, 90, 180) and then float64: a plane each for red, green and blue,
+//! stored times 1500, 1500/1.15 and 1500/1.66. A plane runs over the bins of Rusinkiewicz' angles,
+//! slowest first: √(θ_h/90°) in 90 bins, θ_d in 90 bins of 1°, φ_d in [0°, 180°) in 180 bins of 1°
+//! (the other half of φ_d is the same by reciprocity). The values answer for their whole bin in the
+//! database's own reader; here they stand at the bins' centres. Bins without data hold −1.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use glimt_core::{Brdf, is_lit};
+
+use crate::error::Error;
+use crate::file;
+
+/// Bins of θ_h, θ_d and φ_d.
+pub const BINS: [usize; 3] = [90, 90, 180];
+/// f is the stored number times this, for red, green and blue.
+pub const SCALE: [f64; 3] = [1.0 / 1500.0, 1.15 / 1500.0, 1.66 / 1500.0];
+/// What stands in a bin that has no data.
+const NO_DATA: f64 = -1.0;
+const PLANE: usize = BINS[0] * BINS[1] * BINS[2];
+const HEADER_SIZE: usize = 12;
+/// Bytes of every MERL file.
+pub const FILE_SIZE: usize = HEADER_SIZE + 3 * PLANE * 8;
+
+/// How a lookup between bins is answered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Interpolation {
+    /// The value of the bin, as in the database's own reader: piecewise constant.
+    Nearest,
+    /// Linear between the centres of the bins in √θ_h, θ_d and φ_d (cyclic).
+    #[default]
+    Linear,
+}
+
+/// A table of the MERL database: isotropic, reciprocal, linear RGB.
+#[derive(Clone, Debug)]
+pub struct Merl {
+    name: String,
+    clamped: usize,
+    interpolation: Interpolation,
+    /// f per bin, φ_d fastest.
+    bins: Vec<Vec3>,
+}
+
+impl Merl {
+    /// Reads a `.binary` file.
+    ///
+    /// # Errors
+    /// [`Error::Read`], and those of [`Merl::from_bytes`].
+    pub fn open(path: impl AsRef<Path>) -> Result<Merl, Error> {
+        let path = path.as_ref();
+        check_header(path, &file::read_start(path, HEADER_SIZE as u64)?.1)?;
+        Merl::from_bytes(path, &file::read_exactly(path, FILE_SIZE, SIZE_RULE)?)
+    }
+
+    /// Decodes the bytes of a `.binary` file; `path` gives the material's name and that in errors.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for other dimensions than 90 × 90 × 180 and for values that are not
+    /// finite, [`Error::Size`] for a file of another length.
+    pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Merl, Error> {
+        check_header(path, bytes)?;
+        if bytes.len() != FILE_SIZE {
+            return Err(Error::size(path, bytes.len(), FILE_SIZE, SIZE_RULE));
+        }
+        let mut bins = vec![Vec3::ZERO; PLANE];
+        let mut clamped = 0;
+        for (index, value) in file::doubles(path, &bytes[HEADER_SIZE..], "table").enumerate() {
+            let (channel, bin) = (index / PLANE, index % PLANE);
+            let value = value? * SCALE[channel];
+            clamped += usize::from(value < 0.0);
+            // A float32 cannot hold every double: the largest stands for what is beyond.
+            bins[bin][channel] = value.clamp(0.0, f64::from(f32::MAX)) as f32;
+        }
+        Ok(Merl { name: file::stem(path), clamped, interpolation: Interpolation::default(), bins })
+    }
+
+    /// The same table, answered with another interpolation.
+    #[must_use]
+    pub fn with_interpolation(self, interpolation: Interpolation) -> Merl {
+        Merl { interpolation, ..self }
+    }
+
+    /// File name without extension.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Number of negative values in the file, bins without data included; they are read as 0.
+    #[must_use]
+    pub fn clamped(&self) -> usize {
+        self.clamped
+    }
+
+    #[inline]
+    fn bin(&self, theta_half: usize, theta_diff: usize, phi_diff: usize) -> Vec3 {
+        self.bins[(theta_half * BINS[1] + theta_diff) * BINS[2] + phi_diff]
+    }
+
+    fn nearest(&self, position: Vec3) -> Vec3 {
+        let [theta_half, theta_diff, phi_diff] = position.to_array().map(|x| x as usize);
+        self.bin(theta_half.min(BINS[0] - 1), theta_diff.min(BINS[1] - 1), phi_diff.min(BINS[2] - 1))
+    }
+
+    fn linear(&self, position: Vec3) -> Vec3 {
+        let (h0, h1, h) = between(position.x, BINS[0]);
+        let (d0, d1, d) = between(position.y, BINS[1]);
+        let (p0, p1, p) = between_cyclic(position.z, BINS[2]);
+        let along_phi = |h, d| self.bin(h, d, p0).lerp(self.bin(h, d, p1), p);
+        let along_diff = |h| along_phi(h, d0).lerp(along_phi(h, d1), d);
+        along_diff(h0).lerp(along_diff(h1), h)
+    }
+}
+
+impl Brdf for Merl {
+    #[inline]
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        if !is_lit(light, view) {
+            return Vec3::ZERO;
+        }
+        let position = position(light, view);
+        match self.interpolation {
+            Interpolation::Nearest => self.nearest(position),
+            Interpolation::Linear => self.linear(position),
+        }
+    }
+}
+
+/// Rusinkiewicz' angles of a pair in units of bins: √(θ_h/90°)·90, θ_d/1°, φ_d/1° in [0, 180].
+#[inline]
+fn position(light: Vec3, view: Vec3) -> Vec3 {
+    let half = (light + view).normalize_or_zero();
+    let sin_theta_half = half.truncate().length();
+    let theta_half = sin_theta_half.atan2(half.z);
+    let theta_diff = (light - view).length().atan2((light + view).length());
+
+    // The azimuth of the light about the half vector, from the plane of half vector and normal; that
+    // plane is y = 0 if the two coincide.
+    let across = if sin_theta_half > 0.0 { half.truncate() / sin_theta_half } else { glam::Vec2::X };
+    let bitangent = Vec3::new(-across.y, across.x, 0.0);
+    let tangent = bitangent.cross(half);
+    let phi_diff = light.dot(bitangent).atan2(light.dot(tangent));
+    let phi_diff = if phi_diff < 0.0 { phi_diff + PI as f32 } else { phi_diff };
+
+    let quarter = FRAC_PI_2 as f32;
+    let bins = BINS.map(|bins| bins as f32);
+    Vec3::new(
+        (theta_half / quarter).sqrt() * bins[0],
+        theta_diff / quarter * bins[1],
+        phi_diff / PI as f32 * bins[2],
+    )
+}
+
+/// The two bins whose centres enclose `x` (the last one alone beyond it) and the weight of the second.
+#[inline]
+fn between(x: f32, bins: usize) -> (usize, usize, f32) {
+    let x = (x - 0.5).clamp(0.0, (bins - 1) as f32);
+    let low = (x as usize).min(bins - 2);
+    (low, low + 1, x - low as f32)
+}
+
+/// The same on a circle.
+#[inline]
+fn between_cyclic(x: f32, bins: usize) -> (usize, usize, f32) {
+    let x = if x < 0.5 { x - 0.5 + bins as f32 } else { x - 0.5 };
+    let low = (x as usize).min(bins - 1);
+    (low, if low + 1 == bins { 0 } else { low + 1 }, (x - low as f32).clamp(0.0, 1.0))
+}
+
+/// Writes `brdf` as a `.binary` file, sampled at the centres of the bins.
+///
+/// The format knows isotropic and reciprocal materials only: the half vector stays in the plane
+/// y = 0, and a bin gets the mean of both orders of light and view. Bins whose centre lies below the
+/// horizon hold −1.
+///
+/// # Errors
+/// [`Error::Write`] when the operating system refuses.
+pub fn write_merl(path: impl AsRef<Path>, brdf: &dyn Brdf) -> Result<(), Error> {
+    file::write(path.as_ref(), &to_bytes(brdf))
+}
+
+fn to_bytes(brdf: &dyn Brdf) -> Vec<u8> {
+    let mut bytes = vec![0; FILE_SIZE];
+    for (word, bins) in bytes.chunks_exact_mut(4).zip(BINS) {
+        word.copy_from_slice(&(bins as i32).to_le_bytes());
+    }
+    for bin in 0..PLANE {
+        let value = at_centre(brdf, bin);
+        for channel in 0..3 {
+            let stored = value.map_or(NO_DATA, |f| f64::from(f[channel]) / SCALE[channel]);
+            let at = HEADER_SIZE + (channel * PLANE + bin) * 8;
+            bytes[at..at + 8].copy_from_slice(&stored.to_le_bytes());
+        }
+    }
+    bytes
+}
+
+/// f at the centre of a bin, if that is above the horizon.
+fn at_centre(brdf: &dyn Brdf, bin: usize) -> Option<Vec3> {
+    let centre = |index: usize, bins: usize| (index as f64 + 0.5) / bins as f64;
+    let theta_half = centre(bin / (BINS[1] * BINS[2]), BINS[0]).powi(2) * FRAC_PI_2;
+    let theta_diff = centre(bin / BINS[2] % BINS[1], BINS[1]) * FRAC_PI_2;
+    let phi_diff = centre(bin % BINS[2], BINS[2]) * PI;
+    let (light, view) = directions(theta_half, theta_diff, phi_diff);
+    is_lit(light, view).then(|| 0.5 * (brdf.eval(light, view) + brdf.eval(view, light)))
+}
+
+/// The pair (light, view) with these angles whose half vector has azimuth 0.
+fn directions(theta_half: f64, theta_diff: f64, phi_diff: f64) -> (Vec3, Vec3) {
+    let half = DVec3::new(theta_half.sin(), 0.0, theta_half.cos());
+    let tangent = DVec3::new(theta_half.cos(), 0.0, -theta_half.sin());
+    let across = (tangent * phi_diff.cos() + DVec3::Y * phi_diff.sin()) * theta_diff.sin();
+    let along = half * theta_diff.cos();
+    ((along + across).as_vec3(), (along - across).as_vec3())
+}
+
+const SIZE_RULE: &str = "12 bytes of header and 3 x 90 x 90 x 180 float64";
+
+fn check_header(path: &Path, bytes: &[u8]) -> Result<(), Error> {
+    if bytes.len() < HEADER_SIZE {
+        return Err(Error::size(path, bytes.len(), FILE_SIZE, SIZE_RULE));
+    }
+    let dimension = |b: &[u8]| i32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+    let found: Vec<i32> = bytes[..HEADER_SIZE].chunks_exact(4).map(dimension).collect();
+    if found != BINS.map(|bins| bins as i32) {
+        let found = format!("{found:?}");
+        return Err(Error::invalid(path, "MERL dimensions", found, format!("{BINS:?}")));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const PATH: &str = "paint.binary";
+
+    /// A diffuse base under GGX of roughness 0.3 with a constant Fresnel term: reciprocal.
+    struct Glossy;
+
+    impl Brdf for Glossy {
+        fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+            let alpha2 = 0.3_f32.powi(4);
+            let half = (light + view).normalize();
+            let ndf = alpha2 / (PI as f32 * (half.z * half.z * (alpha2 - 1.0) + 1.0).powi(2));
+            let lambda = |z: f32| z + (alpha2 + (1.0 - alpha2) * z * z).sqrt();
+            let specular = 0.2 * ndf / (lambda(light.z) * lambda(view.z));
+            Vec3::new(0.1, 0.05, 0.02) + specular
+        }
+    }
+
+    /// An exponential of a smooth function of the directions, as neural BRDFs have it.
+    struct Smooth;
+
+    impl Brdf for Smooth {
+        fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+            let half = (light + view).normalize();
+            let phase = (light - view).y.powi(2);
+            (Vec3::new(1.0, 0.5, -0.5) * (4.0 * half.z + phase - 3.0)).map(f32::exp)
+        }
+    }
+
+    fn written(brdf: &dyn Brdf) -> Merl {
+        Merl::from_bytes(Path::new(PATH), &to_bytes(brdf)).unwrap()
+    }
+
+    /// f at a position in units of bins.
+    fn at(brdf: &dyn Brdf, position: DVec3) -> Vec3 {
+        let theta_half = (position.x / 90.0).powi(2) * FRAC_PI_2;
+        let (light, view) = directions(theta_half, position.y / 90.0 * FRAC_PI_2, position.z / 180.0 * PI);
+        brdf.eval(light, view)
+    }
+
+    /// Error bound of trilinear interpolation between bin centres: over the axes, ⅛ of the largest
+    /// second derivative in the cell. That is taken from second differences on 27 points of the cell,
+    /// with half as much again for what lies between them.
+    fn bound(brdf: &dyn Brdf, position: DVec3) -> f32 {
+        let cell = (position - 0.5).floor() + 0.5;
+        let mut sum = 0.0;
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+            let curvature = (0..27).map(|k| {
+                let point = cell + 0.5 * DVec3::new((k % 3) as f64, (k / 3 % 3) as f64, (k / 9) as f64);
+                let step = 0.5 * axis;
+                let ends = at(brdf, point + step) + at(brdf, point - step);
+                ((ends - 2.0 * at(brdf, point)) / 0.25).abs().max_element()
+            });
+            sum += curvature.fold(0.0, f32::max) / 8.0;
+        }
+        1.5 * sum
+    }
+
+    fn stays_within_the_bound(brdf: &dyn Brdf) {
+        let merl = written(brdf);
+        let mut tested = 0;
+        for k in 1..8000 {
+            let unit = |step: f64| (f64::from(k) * step).fract();
+            // Inside the outermost bin centres, beyond which the outermost bin answers.
+            let position = DVec3::new(
+                1.0 + 88.0 * unit(0.754_877_666),
+                1.0 + 88.0 * unit(0.569_840_291),
+                180.0 * unit(0.438_579_021),
+            );
+            let theta_half = (position.x / 90.0).powi(2) * FRAC_PI_2;
+            // All bins of the cell have to be above the horizon.
+            if theta_half + (position.y + 1.0) / 90.0 * FRAC_PI_2 > 85_f64.to_radians() {
+                continue;
+            }
+            let (light, view) =
+                directions(theta_half, position.y / 90.0 * FRAC_PI_2, position.z / 180.0 * PI);
+            let (expected, found) = (brdf.eval(light, view), merl.eval(light, view));
+            let error = (found - expected).abs().max_element();
+            let rounding = 2e-4 * expected.max_element();
+            assert!(error <= bound(brdf, position) + rounding, "{position}: {found} for {expected}");
+            tested += 1;
+        }
+        assert!(tested > 2000, "{tested}");
+    }
+
+    #[test]
+    fn a_written_function_comes_back_within_the_interpolation_error() {
+        stays_within_the_bound(&Glossy);
+        stays_within_the_bound(&Smooth);
+    }
+
+    #[test]
+    fn the_bins_centres_come_back_exactly_with_either_interpolation() {
+        let linear = written(&Glossy);
+        let nearest = linear.clone().with_interpolation(Interpolation::Nearest);
+        for bin in (0..PLANE).step_by(977) {
+            let Some(expected) = at_centre(&Glossy, bin) else { continue };
+            let centre = [bin / 16200, bin / 180 % 90, bin % 180].map(|index| index as f64 + 0.5);
+            // The rounding of a position is a fraction of a bin, across which f changes.
+            for merl in [&linear, &nearest] {
+                let error = (at(merl, centre.into()) - expected).abs().max_element();
+                assert!(error <= 1e-3 * expected.max_element(), "{centre:?} {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn size_header_and_scale_are_those_of_the_database() {
+        struct Constant;
+        impl Brdf for Constant {
+            fn eval(&self, _: Vec3, _: Vec3) -> Vec3 {
+                Vec3::new(0.5, 0.25, 0.125)
+            }
+        }
+        let bytes = to_bytes(&Constant);
+        assert_eq!(bytes.len(), 34_992_012);
+        assert_eq!(&bytes[..12], [90, 0, 0, 0, 90, 0, 0, 0, 180, 0, 0, 0]);
+        for (channel, expected) in [(0, 750.0), (1, 375.0 / 1.15), (2, 187.5 / 1.66)] {
+            let start = 12 + channel * 90 * 90 * 180 * 8;
+            let stored = f64::from_le_bytes(bytes[start..start + 8].try_into().unwrap());
+            assert!((stored - expected).abs() < 1e-9, "{stored}");
+        }
+        let f = Merl::from_bytes(Path::new(PATH), &bytes).unwrap().eval(Vec3::Z, Vec3::Z);
+        assert!((f - Vec3::new(0.5, 0.25, 0.125)).abs().max_element() < 1e-6);
+    }
+
+    /// A table whose bins hold their own number in red, and nothing in blue.
+    fn numbered() -> Vec<u8> {
+        let mut bytes = to_bytes(&Smooth);
+        for bin in 0..PLANE {
+            bytes[12 + bin * 8..][..8].copy_from_slice(&(bin as f64 * 1500.0).to_le_bytes());
+            bytes[12 + (2 * PLANE + bin) * 8..][..8].copy_from_slice(&(-1.0_f64).to_le_bytes());
+        }
+        bytes
+    }
+
+    #[test]
+    fn the_square_root_of_theta_half_and_the_differences_number_the_bins() {
+        let merl = Merl::from_bytes(Path::new(PATH), &numbered()).unwrap();
+        let merl = merl.with_interpolation(Interpolation::Nearest);
+        let direction = |theta: f32, phi: f32| {
+            let (theta, phi) = (theta.to_radians(), phi.to_radians());
+            Vec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
+        };
+        let number = |light: Vec3, view: Vec3| merl.eval(light, view).x;
+        // Half vector at 23° (√(23/90)·90 = 45.5), light 10.5° further from the normal: φ_d = 0.
+        let (near, far) = (direction(12.5, 0.0), direction(33.5, 0.0));
+        assert_eq!(number(far, near), ((45 * 90 + 10) * 180) as f32);
+        // The same after a rotation about the normal, and with light and view exchanged.
+        assert_eq!(number(direction(33.5, 77.0), direction(12.5, 77.0)), ((45 * 90 + 10) * 180) as f32);
+        assert_eq!(number(near, far) as usize / 180, 45 * 90 + 10);
+        // Half vector at the normal: the light's own angles are the differences.
+        assert_eq!(number(direction(30.5, 100.5), direction(30.5, 280.5)), (30 * 180 + 100) as f32);
+        assert_eq!(number(direction(30.5, 280.5), direction(30.5, 100.5)), (30 * 180 + 100) as f32);
+    }
+
+    #[test]
+    fn negative_numbers_are_zero_and_counted() {
+        let merl = Merl::from_bytes(Path::new(PATH), &numbered()).unwrap();
+        let (light, view) = directions(0.1, 0.3, 1.0);
+        assert_eq!(merl.eval(light, view).z, 0.0);
+        let no_data = (0..PLANE).filter(|&bin| at_centre(&Smooth, bin).is_none()).count();
+        assert_eq!(merl.clamped(), PLANE + no_data);
+    }
+
+    #[test]
+    fn broken_files_are_named() {
+        let error = |bytes: &[u8]| Merl::from_bytes(Path::new(PATH), bytes).unwrap_err().to_string();
+        let mut bytes = to_bytes(&Smooth);
+        assert_eq!(
+            error(&bytes[..1000]),
+            "paint.binary: 1000 bytes, expected 34992012 (12 bytes of header and 3 x 90 x 90 x 180 float64)"
+        );
+        assert!(error(&bytes[..5]).starts_with("paint.binary: 5 bytes, expected 34992012"));
+        bytes.push(0);
+        assert!(error(&bytes).starts_with("paint.binary: 34992013 bytes, expected 34992012"));
+        bytes.pop();
+        bytes[12 + 80..12 + 88].copy_from_slice(&f64::NAN.to_le_bytes());
+        assert_eq!(error(&bytes), "paint.binary: table: found NaN at index 10, expected finite numbers");
+        bytes[8..12].copy_from_slice(&i32::MAX.to_le_bytes());
+        assert_eq!(
+            error(&bytes),
+            "paint.binary: MERL dimensions: found [90, 90, 2147483647], expected [90, 90, 180]"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn no_pair_of_directions_panics_or_gives_anything_but_finite_numbers(
+            light in prop::array::uniform3(prop::num::f32::ANY),
+            view in prop::array::uniform3(prop::num::f32::ANY),
+        ) {
+            let bins = vec![Vec3::ONE; PLANE];
+            let merl = Merl { name: String::new(), clamped: 0, interpolation: Interpolation::Linear, bins };
+            for merl in [merl.clone(), merl.with_interpolation(Interpolation::Nearest)] {
+                let f = merl.eval(light.into(), view.into());
+                prop_assert!(f.is_finite() && f.min_element() >= 0.0, "{f}");
+            }
+        }
+    }
+}
