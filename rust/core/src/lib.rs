@@ -1,10 +1,13 @@
 //! The core of glimt: what a renderer needs to evaluate and sample a fitted BRDF.
 
 pub mod brdf;
+pub mod error;
 pub mod features;
 pub mod ggx;
 pub mod hybrid;
+pub mod library;
 pub mod lobes;
+pub mod material;
 pub mod math;
 pub mod microfacet;
 pub mod nbrdf;
@@ -13,4 +16,7 @@ pub mod neural;
 pub mod simd;
 
 pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
+pub use error::Error;
 pub use glam::Vec3;
+pub use library::Library;
+pub use material::Material;

@@ -88,6 +88,8 @@ macro_rules! dispatch {
     ($(#[$meta:meta])* $vis:vis fn $name:ident<$isa:ident>($($arg:ident: $ty:ty),* $(,)?) $body:block) => {
         $(#[$meta])*
         $vis fn $name($($arg: $ty),*) {
+            // A kernel without a matrix product has no use for `I` but to be compiled for it.
+            #[allow(clippy::extra_unused_type_parameters)]
             #[inline(always)]
             fn kernel<$isa: $crate::simd::Isa>($($arg: $ty),*) $body
 

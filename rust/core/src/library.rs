@@ -1,0 +1,712 @@
+//! The model library: one `.safetensors` file with the materials of one model.
+//!
+//! The metadata of the container holds one JSON object under `glimt` ([`Header`]): format version,
+//! model, names, and where each material came from. Tensors are little-endian float32:
+//!
+//! | tensor | shape | models |
+//! |---|---|---|
+//! | `kd`, `eta` | (materials, 3) | ggx, hybrid |
+//! | `alpha` | (materials, 1) if all are isotropic, else (materials, 2) | ggx, hybrid |
+//! | `latent` | (materials, l) | hybrid, neural |
+//! | `bound` | (materials) | hybrid, neural |
+//! | `network.i.weight`, `network.i.bias` | (out, in), (out); with a leading axis of materials where each has a network of its own | hybrid, neural, nbrdf |
+//! | `frames.weight`, `frames.bias` | (18, l), (18) | neural |
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use crate::error::Error;
+use crate::ggx::Ggx;
+use crate::hybrid::{Form, Hybrid};
+use crate::material::Material;
+use crate::microfacet::Microfacet;
+use crate::nbrdf::{self, Nbrdf};
+use crate::network::{Activation, Layer, Network};
+use crate::neural::{self, Neural, Shared};
+
+/// Version of the file format that this code writes and reads.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// Largest library that is read: thousands of materials fit, and a wrong file does not fill memory.
+const MAX_FILE_BYTES: u64 = 1 << 30;
+
+/// A named material and where it came from.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Name, unique in the library.
+    pub name: String,
+    /// The material.
+    pub material: Material,
+    /// Where it came from.
+    pub origin: Origin,
+}
+
+/// Where a material came from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Origin {
+    /// Name of the file that it was fitted to or imported from.
+    pub source: String,
+    /// SHA-256 of that file, in hexadecimal.
+    pub sha256: String,
+    /// The command that made it.
+    pub command: String,
+    /// Seed of the fit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// Steps of the fit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u64>,
+    /// Error metrics against the source by name, as the command measured them.
+    #[serde(default, skip_serializing_if = "std::collections::BTreeMap::is_empty")]
+    pub metrics: std::collections::BTreeMap<String, f64>,
+    /// Licence of the source, where it is known.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub license: String,
+}
+
+/// The JSON object in the file's metadata.
+#[derive(Serialize, Deserialize)]
+struct Header {
+    format: u32,
+    kind: String,
+    color_space: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    form: Option<Form>,
+    materials: Vec<MaterialHeader>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct MaterialHeader {
+    name: String,
+    #[serde(flatten)]
+    origin: Origin,
+}
+
+const COLOR_SPACE: &str = "linear sRGB";
+
+/// Materials of one model.
+#[derive(Clone, Debug)]
+pub struct Library {
+    path: PathBuf,
+    entries: Vec<Entry>,
+}
+
+impl Library {
+    /// A library of materials that share model and architecture; `path` is where it will be
+    /// written, and what messages name.
+    ///
+    /// # Errors
+    /// [`Error::Format`] if there is no material, two have one name, or models differ.
+    pub fn new(path: impl Into<PathBuf>, entries: Vec<Entry>) -> Result<Self, Error> {
+        let library = Library { path: path.into(), entries };
+        library.check().map_err(|reason| Error::Format { path: library.path.clone(), reason })?;
+        Ok(library)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let first = &self.entries.first().ok_or("it holds no material")?.material;
+        for (i, entry) in self.entries.iter().enumerate() {
+            if self.entries[..i].iter().any(|other| other.name == entry.name) {
+                return Err(format!("two materials are named \"{}\"", entry.name));
+            }
+            if architecture(&entry.material) != architecture(first) {
+                return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads a library.
+    ///
+    /// # Errors
+    /// [`Error::Read`], or [`Error::Format`] with what was found and what was expected.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
+        let path = path.as_ref().to_path_buf();
+        let read = || {
+            let size = std::fs::metadata(&path)?.len();
+            if size > MAX_FILE_BYTES {
+                let message = format!("it has {size} bytes; a model library has at most {MAX_FILE_BYTES}");
+                return Err(std::io::Error::other(message));
+            }
+            std::fs::read(&path)
+        };
+        let bytes = read().map_err(|source| Error::Read { path: path.clone(), source })?;
+        let entries = decode(&bytes).map_err(|reason| Error::Format { path: path.clone(), reason })?;
+        Library::new(path, entries)
+    }
+
+    /// Writes the library to its path: whole, or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Write`].
+    pub fn save(&self) -> Result<(), Error> {
+        let error = |source| Error::Write { path: self.path.clone(), source };
+        write_whole(&self.path, &self.encode()).map_err(error)
+    }
+
+    /// Where the library was read from or will be written.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The materials in the file's order.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    /// The model's name.
+    #[must_use]
+    pub fn kind(&self) -> &'static str {
+        self.entries[0].material.kind()
+    }
+
+    /// Names of the materials in the file's order.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        self.entries.iter().map(|entry| entry.name.clone()).collect()
+    }
+
+    /// The entry of that name; the only one if `name` is `None` and the library holds one.
+    ///
+    /// # Errors
+    /// [`Error::UnknownMaterial`] with the nearest names, [`Error::MaterialNotNamed`].
+    pub fn entry(&self, name: Option<&str>) -> Result<&Entry, Error> {
+        let Some(name) = name else {
+            return match &self.entries[..] {
+                [only] => Ok(only),
+                _ => Err(Error::MaterialNotNamed { path: self.path.clone(), materials: self.names() }),
+            };
+        };
+        self.entries.iter().find(|entry| entry.name == name).ok_or_else(|| Error::UnknownMaterial {
+            path: self.path.clone(),
+            name: name.to_owned(),
+            nearest: nearest(name, self.entries.iter().map(|entry| entry.name.as_str())),
+            materials: self.names(),
+        })
+    }
+
+    /// The material of that name, as [`Library::entry`].
+    ///
+    /// # Errors
+    /// As [`Library::entry`].
+    pub fn material(&self, name: Option<&str>) -> Result<&Material, Error> {
+        self.entry(name).map(|entry| &entry.material)
+    }
+
+    /// Bytes of the tensors that one material has of its own, and of those that all share.
+    #[must_use]
+    pub fn tensor_bytes(&self) -> (usize, usize) {
+        let shared_networks = self.shares_network();
+        let (mut own, mut shared) = (0, 0);
+        for tensor in self.tensors() {
+            let bytes = tensor.data.len() * size_of::<f32>();
+            let is_shared = tensor.name.starts_with("frames.")
+                || (tensor.name.starts_with("network.") && shared_networks);
+            if is_shared {
+                shared += bytes;
+            } else {
+                own += bytes / self.entries.len();
+            }
+        }
+        (own, shared)
+    }
+
+    /// Whether one network serves all materials.
+    fn shares_network(&self) -> bool {
+        let address = |entry: &Entry| entry.material.network().map(std::ptr::from_ref);
+        self.kind() != "nbrdf" && self.entries.iter().all(|entry| address(entry) == address(&self.entries[0]))
+    }
+
+    /// The file's bytes.
+    fn encode(&self) -> Vec<u8> {
+        let header = Header {
+            format: FORMAT_VERSION,
+            kind: self.kind().to_owned(),
+            color_space: COLOR_SPACE.to_owned(),
+            form: match &self.entries[0].material {
+                Material::Hybrid(m) => Some(m.form()),
+                _ => None,
+            },
+            materials: self
+                .entries
+                .iter()
+                .map(|entry| MaterialHeader { name: entry.name.clone(), origin: entry.origin.clone() })
+                .collect(),
+        };
+        let json = serde_json::to_string(&header).expect("strings and numbers always serialise");
+        let tensors = self.tensors();
+        let views = tensors.iter().map(|tensor| {
+            let bytes = bytemuck::cast_slice(&tensor.data);
+            let view = TensorView::new(Dtype::F32, tensor.shape.clone(), bytes);
+            (tensor.name.clone(), view.expect("the shape is made from the data"))
+        });
+        let metadata = HashMap::from([("glimt".to_owned(), json)]);
+        safetensors::serialize(views, Some(metadata)).expect("names and shapes are valid")
+    }
+
+    fn tensors(&self) -> Vec<Tensor> {
+        let rows = |name: &str, values: Vec<Vec<f32>>| Tensor {
+            name: name.to_owned(),
+            shape: vec![values.len(), values[0].len()],
+            data: values.concat(),
+        };
+        let each = |f: &dyn Fn(&Material) -> Vec<f32>| -> Vec<Vec<f32>> {
+            self.entries.iter().map(|entry| f(&entry.material)).collect()
+        };
+        let mut tensors = Vec::new();
+        if let Some(microfacets) =
+            self.entries.iter().map(|entry| entry.material.microfacet().copied()).collect::<Option<Vec<_>>>()
+        {
+            let isotropic = microfacets.iter().all(Microfacet::is_isotropic);
+            tensors.push(rows("kd", microfacets.iter().map(|m| m.kd.to_vec()).collect()));
+            tensors.push(rows("eta", microfacets.iter().map(|m| m.eta.to_vec()).collect()));
+            let alphas = microfacets.iter().map(|m| m.alpha[..if isotropic { 1 } else { 2 }].to_vec());
+            tensors.push(rows("alpha", alphas.collect()));
+        }
+        if !self.entries[0].material.latent().is_empty() {
+            tensors.push(rows("latent", each(&|m| m.latent().to_vec())));
+        }
+        let bounds: Option<Vec<f32>> = self
+            .entries
+            .iter()
+            .map(|entry| match &entry.material {
+                Material::Hybrid(m) => Some(m.bound()),
+                Material::Neural(m) => Some(m.bound()),
+                Material::Ggx(_) | Material::Nbrdf(_) => None,
+            })
+            .collect();
+        if let Some(data) = bounds {
+            tensors.push(Tensor { name: "bound".to_owned(), shape: vec![data.len()], data });
+        }
+        tensors.extend(self.network_tensors());
+        if let Material::Neural(m) = &self.entries[0].material {
+            let frames = &m.shared().frames;
+            let shape = vec![frames.outputs(), frames.inputs()];
+            tensors.push(Tensor { name: "frames.weight".to_owned(), shape, data: frames.weight.clone() });
+            let shape = vec![frames.outputs()];
+            tensors.push(Tensor { name: "frames.bias".to_owned(), shape, data: frames.bias.clone() });
+        }
+        tensors
+    }
+
+    fn network_tensors(&self) -> Vec<Tensor> {
+        let networks: Vec<&Network> =
+            self.entries.iter().filter_map(|entry| entry.material.network()).collect();
+        let Some(first) = networks.first() else { return Vec::new() };
+        let (stored, leading) = if self.shares_network() {
+            (&networks[..1], vec![])
+        } else {
+            (&networks[..], vec![networks.len()])
+        };
+        let mut tensors = Vec::new();
+        for (i, layer) in first.layers().iter().enumerate() {
+            let stack = |part: &dyn Fn(&Layer) -> &[f32]| -> Vec<f32> {
+                stored.iter().flat_map(|network| part(&network.layers()[i]).iter().copied()).collect()
+            };
+            let shape = [leading.clone(), vec![layer.outputs(), layer.inputs()]].concat();
+            let name = format!("network.{i}.weight");
+            tensors.push(Tensor { name, shape, data: stack(&|layer| &layer.weight) });
+            let shape = [leading.clone(), vec![layer.outputs()]].concat();
+            let name = format!("network.{i}.bias");
+            tensors.push(Tensor { name, shape, data: stack(&|layer| &layer.bias) });
+        }
+        tensors
+    }
+}
+
+/// Model and sizes: what the materials of one library have in common.
+fn architecture(material: &Material) -> (&'static str, Option<Form>, Vec<(usize, usize)>) {
+    let form = match material {
+        Material::Hybrid(m) => Some(m.form()),
+        _ => None,
+    };
+    let layers = material.network().map_or(&[][..], Network::layers);
+    (material.kind(), form, layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect())
+}
+
+/// Writes `bytes` beside `path` and renames, so that `path` is never half a file.
+///
+/// # Errors
+/// Whatever the file system says.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut name = path.file_name().ok_or(std::io::ErrorKind::IsADirectory)?.to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    let part = path.with_file_name(name);
+    std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).inspect_err(|_| {
+        // Best effort: the error that matters is the one that is returned.
+        let _ = std::fs::remove_file(&part);
+    })
+}
+
+/// Names that resemble `name`, best first: those that contain it or are contained in it, and those
+/// within a few edits.
+#[must_use]
+pub fn nearest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    const MOST: usize = 3;
+    let wanted = name.to_lowercase();
+    let mut scored: Vec<(usize, &str)> = names
+        .filter_map(|candidate| {
+            let lower = candidate.to_lowercase();
+            let contains = !wanted.is_empty() && (lower.contains(&wanted) || wanted.contains(&lower));
+            let distance = if contains { 0 } else { edit_distance(&wanted, &lower) };
+            (contains || distance <= wanted.len().max(lower.len()) / 3).then_some((distance, candidate))
+        })
+        .collect();
+    scored.sort();
+    scored.into_iter().take(MOST).map(|(_, name)| name.to_owned()).collect()
+}
+
+/// Levenshtein's distance.
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, &cb) in b.iter().enumerate() {
+            let replace = diagonal + usize::from(ca != cb);
+            diagonal = row[j + 1];
+            row[j + 1] = replace.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+struct Tensor {
+    name: String,
+    shape: Vec<usize>,
+    data: Vec<f32>,
+}
+
+/// A file's tensors by name, checked as they are taken.
+struct Tensors<'a> {
+    file: SafeTensors<'a>,
+    materials: usize,
+}
+
+impl Tensors<'_> {
+    fn take(&self, name: &str) -> Result<Tensor, String> {
+        let view = self.file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
+        if view.dtype() != Dtype::F32 {
+            return Err(format!("the tensor \"{name}\" is {:?}, expected F32", view.dtype()));
+        }
+        // Copied float by float: the bytes in a file have no alignment to rely on.
+        let data: Vec<f32> =
+            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        if let Some(at) = data.iter().position(|x| !x.is_finite()) {
+            return Err(format!(
+                "the tensor \"{name}\" holds {} at index {at}, expected finite numbers",
+                data[at]
+            ));
+        }
+        Ok(Tensor { name: name.to_owned(), shape: view.shape().to_vec(), data })
+    }
+
+    /// A tensor with a row of `width` numbers per material.
+    fn rows<const WIDTH: usize>(&self, name: &str) -> Result<Vec<[f32; WIDTH]>, String> {
+        let tensor = self.take(name)?;
+        if tensor.shape != [self.materials, WIDTH] {
+            return Err(unexpected_shape(&tensor, &format!("[{}, {WIDTH}]", self.materials)));
+        }
+        Ok(tensor.data.as_chunks().0.to_vec())
+    }
+
+    fn latents(&self) -> Result<Vec<Vec<f32>>, String> {
+        let tensor = self.take("latent")?;
+        match tensor.shape[..] {
+            [materials, width] if materials == self.materials && width > 0 => {
+                Ok(tensor.data.chunks_exact(width).map(<[f32]>::to_vec).collect())
+            }
+            _ => Err(unexpected_shape(&tensor, &format!("[{}, l]", self.materials))),
+        }
+    }
+
+    fn bounds(&self) -> Result<Vec<f32>, String> {
+        let tensor = self.take("bound")?;
+        if tensor.shape != [self.materials] {
+            return Err(unexpected_shape(&tensor, &format!("[{}]", self.materials)));
+        }
+        Ok(tensor.data)
+    }
+
+    fn microfacets(&self) -> Result<Vec<Microfacet>, String> {
+        let (kd, eta) = (self.rows("kd")?, self.rows("eta")?);
+        let alpha = match self.rows::<1>("alpha") {
+            Ok(alpha) => alpha.into_iter().map(|[a]| [a, a]).collect(),
+            Err(_) => self.rows::<2>("alpha")?,
+        };
+        Ok((0..self.materials).map(|i| Microfacet { kd: kd[i], eta: eta[i], alpha: alpha[i] }).collect())
+    }
+
+    /// One network per material, the same one where they share it.
+    fn networks(&self, features: usize, activation: Activation) -> Result<Vec<Arc<Network>>, String> {
+        let mut stacks: Vec<[Tensor; 2]> = Vec::new();
+        while self.file.tensor(&format!("network.{}.weight", stacks.len())).is_ok() {
+            let i = stacks.len();
+            stacks
+                .push([self.take(&format!("network.{i}.weight"))?, self.take(&format!("network.{i}.bias"))?]);
+        }
+        let own = stacks.first().is_some_and(|[weight, _]| weight.shape.len() == 3);
+        let count = if own { self.materials } else { 1 };
+        let build = |index: usize| {
+            let layers = stacks.iter().map(|stack| layer_at(stack, own.then_some(count), index));
+            Network::new(layers.collect::<Result<_, _>>()?, features, activation).map(Arc::new)
+        };
+        let networks = (0..count).map(build).collect::<Result<Vec<_>, _>>()?;
+        Ok((0..self.materials).map(|i| networks[if own { i } else { 0 }].clone()).collect())
+    }
+}
+
+/// One network's layer from the tensors of all: weight (n, out, in) and bias (n, out), or without
+/// the first axis.
+fn layer_at([weight, bias]: &[Tensor; 2], count: Option<usize>, index: usize) -> Result<Layer, String> {
+    let axes = usize::from(count.is_some());
+    let fits = weight.shape.len() == axes + 2
+        && bias.shape.len() == axes + 1
+        && weight.shape[..=axes] == bias.shape[..]
+        && count.is_none_or(|n| weight.shape[0] == n)
+        && !weight.data.is_empty();
+    if !fits {
+        return Err(format!(
+            "{} of shape {:?} and {} of shape {:?} do not make a layer",
+            weight.name, weight.shape, bias.name, bias.shape
+        ));
+    }
+    let (outputs, inputs) = (weight.shape[axes], weight.shape[axes + 1]);
+    Ok(Layer {
+        weight: weight.data[index * outputs * inputs..][..outputs * inputs].to_vec(),
+        bias: bias.data[index * outputs..][..outputs].to_vec(),
+    })
+}
+
+fn unexpected_shape(tensor: &Tensor, expected: &str) -> String {
+    format!("the tensor \"{}\" has shape {:?}, expected {expected}", tensor.name, tensor.shape)
+}
+
+fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
+    let container = |e: safetensors::SafeTensorError| format!("as a safetensors file it is broken: {e}");
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
+    let json = metadata
+        .metadata()
+        .as_ref()
+        .and_then(|m| m.get("glimt"))
+        .ok_or("its metadata has no entry \"glimt\"; it is some other safetensors file")?;
+    let version: FormatVersion =
+        serde_json::from_str(json).map_err(|e| format!("its \"glimt\" metadata is broken: {e}"))?;
+    if version.format != FORMAT_VERSION {
+        return Err(format!("it has format version {}, expected {FORMAT_VERSION}", version.format));
+    }
+    let header: Header =
+        serde_json::from_str(json).map_err(|e| format!("its \"glimt\" metadata is broken: {e}"))?;
+    if header.color_space != COLOR_SPACE {
+        return Err(format!("its colour space is \"{}\", expected \"{COLOR_SPACE}\"", header.color_space));
+    }
+    let file = SafeTensors::deserialize(bytes).map_err(container)?;
+    let tensors = Tensors { file, materials: header.materials.len() };
+    let materials = decode_materials(&header, &tensors)?;
+    Ok(header
+        .materials
+        .into_iter()
+        .zip(materials)
+        .map(|(MaterialHeader { name, origin }, material)| Entry { name, material, origin })
+        .collect())
+}
+
+/// The part of the header that is read first: a later version may change the rest.
+#[derive(Deserialize)]
+struct FormatVersion {
+    format: u32,
+}
+
+fn decode_materials(header: &Header, tensors: &Tensors) -> Result<Vec<Material>, String> {
+    let named = |i: usize| move |e: String| format!("material \"{}\": {e}", header.materials[i].name);
+    let each = 0..header.materials.len();
+    match header.kind.as_str() {
+        "ggx" => {
+            let microfacets = tensors.microfacets()?;
+            each.map(|i| Ggx::new(microfacets[i]).map(Material::Ggx).map_err(named(i))).collect()
+        }
+        "hybrid" => {
+            let form = header.form.ok_or("its metadata has no \"form\", which a hybrid library needs")?;
+            let (microfacets, latents, bounds) =
+                (tensors.microfacets()?, tensors.latents()?, tensors.bounds()?);
+            let networks = tensors.networks(form.features(), Activation::HardGelu)?;
+            each.map(|i| {
+                Hybrid::new(form, networks[i].clone(), microfacets[i], latents[i].clone(), bounds[i])
+                    .map(Material::Hybrid)
+                    .map_err(named(i))
+            })
+            .collect()
+        }
+        "neural" => {
+            let (latents, bounds) = (tensors.latents()?, tensors.bounds()?);
+            let networks = tensors.networks(neural::FEATURES, Activation::HardGelu)?;
+            let frames = layer_at(&[tensors.take("frames.weight")?, tensors.take("frames.bias")?], None, 0)?;
+            let network = Arc::unwrap_or_clone(networks[0].clone());
+            let shared = Arc::new(Shared { network, frames });
+            each.map(|i| {
+                Neural::new(shared.clone(), latents[i].clone(), bounds[i])
+                    .map(Material::Neural)
+                    .map_err(named(i))
+            })
+            .collect()
+        }
+        "nbrdf" => {
+            let networks = tensors.networks(nbrdf::FEATURES, Activation::Relu)?;
+            each.map(|i| Nbrdf::new(networks[i].clone()).map(Material::Nbrdf).map_err(named(i))).collect()
+        }
+        other => Err(format!("its model is \"{other}\", expected ggx, hybrid, neural or nbrdf")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::brdf::Brdf;
+    use crate::features::Inputs;
+    use crate::network::tests::patterned;
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    const PARAMETERS: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
+
+    fn entry(name: &str, material: Material) -> Entry {
+        let origin = Origin { source: format!("{name}.bsdf"), seed: Some(7), ..Origin::default() };
+        Entry { name: name.to_owned(), material, origin }
+    }
+
+    fn hybrid(network: &Arc<Network>, alpha: [f32; 2], z: f32) -> Material {
+        let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
+        let microfacet = Microfacet { alpha, ..PARAMETERS };
+        Material::Hybrid(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
+    }
+
+    /// Two materials of every model, and of the hybrid with one network each.
+    fn libraries() -> Vec<Vec<Entry>> {
+        let network = || Arc::new(patterned(&[10, 16, 16, 6], 6, Activation::HardGelu));
+        let shared = network();
+        let own = [network(), Arc::new(patterned(&[10, 16, 16, 6], 6, Activation::HardGelu))];
+        let neural = Arc::new(Shared {
+            network: patterned(&[30, 16, 3], neural::FEATURES, Activation::HardGelu),
+            frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
+        });
+        let nbrdf = || Arc::new(patterned(&[6, 21, 21, 3], 6, Activation::Relu));
+        let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
+        vec![
+            vec![entry("a", ggx([0.1; 2])), entry("b", ggx([0.1, 0.3]))],
+            vec![entry("a", hybrid(&shared, [0.2; 2], 0.1)), entry("b", hybrid(&shared, [0.3; 2], -0.4))],
+            vec![entry("a", hybrid(&own[0], [0.2, 0.4], 0.1)), entry("b", hybrid(&own[1], [0.3; 2], 0.2))],
+            vec![
+                entry("a", Material::Neural(Neural::new(neural.clone(), vec![0.1; 12], 1.0).unwrap())),
+                entry("b", Material::Neural(Neural::new(neural, vec![-0.2; 12], 2.0).unwrap())),
+            ],
+            vec![
+                entry("a", Material::Nbrdf(Nbrdf::new(nbrdf()).unwrap())),
+                entry("b", Material::Nbrdf(Nbrdf::new(nbrdf()).unwrap())),
+            ],
+        ]
+    }
+
+    #[test]
+    fn every_model_comes_back_as_it_was_saved() {
+        let folder = tempfile::tempdir().unwrap();
+        for (i, entries) in libraries().into_iter().enumerate() {
+            let path = folder.path().join(format!("{i}.safetensors"));
+            let saved = Library::new(&path, entries).unwrap();
+            saved.save().unwrap();
+            let read = Library::open(&path).unwrap();
+            assert_eq!(read.names(), ["a", "b"]);
+            assert_eq!(read.tensor_bytes(), saved.tensor_bytes());
+            let (light, view) = (Vec3::new(0.48, 0.36, 0.8), Vec3::new(-0.6, 0.0, 0.8));
+            for (a, b) in saved.entries().iter().zip(read.entries()) {
+                assert_eq!(a.origin, b.origin);
+                assert_eq!(a.material.eval(light, view), b.material.eval(light, view));
+                assert_eq!(a.material.lobes(), b.material.lobes());
+            }
+        }
+    }
+
+    #[test]
+    fn twelve_numbers_a_material() {
+        let library = Library::new("", libraries().remove(1)).unwrap();
+        // k_d 3, η 3, α 1, z 4, bound 1; the network 10-16-16-6 with its biases.
+        assert_eq!(library.tensor_bytes(), (4 * 12, 4 * (11 * 16 + 17 * 16 + 17 * 6)));
+    }
+
+    #[test]
+    fn unknown_names_are_answered_with_near_ones() {
+        let network = Arc::new(patterned(&[10, 16, 6], 6, Activation::HardGelu));
+        let names = ["chm_orange", "chm_mint", "vch_golden_yellow"];
+        let entries = names.iter().map(|name| entry(name, hybrid(&network, [0.2; 2], 0.1))).collect();
+        let library = Library::new("lib.safetensors", entries).unwrap();
+        let message = |name: Option<&str>| library.material(name).unwrap_err().to_string();
+        assert!(
+            message(Some("chm_ornage")).ends_with("did you mean chm_orange?"),
+            "{}",
+            message(Some("chm_ornage"))
+        );
+        assert!(message(Some("orange")).contains("chm_orange"));
+        assert!(message(Some("zzzzzzzzzz")).contains("it holds chm_orange, chm_mint, vch_golden_yellow"));
+        assert!(message(None).contains("3 materials"));
+        assert!(library.material(Some("chm_mint")).is_ok());
+    }
+
+    #[test]
+    fn what_is_no_library_is_refused_with_its_name_and_the_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("broken.safetensors");
+        let refused = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            let message = Library::open(&path).unwrap_err().to_string();
+            assert!(message.contains("broken.safetensors"), "{message}");
+            message
+        };
+        let good = Library::new(&path, libraries().remove(1)).unwrap().encode();
+        let replaced = |from: &str, to: &str| {
+            let at = good.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
+            let mut bytes = good.clone();
+            bytes.splice(at..at + from.len(), to.bytes());
+            bytes
+        };
+        assert!(refused(b"MZ").contains("broken"));
+        assert!(refused(&good[..good.len() - 5]).contains("broken"));
+        assert!(refused(&replaced("\"glimt\"", "\"other\"")).contains("some other safetensors file"));
+        assert!(refused(&replaced("\\\"format\\\":1", "\\\"format\\\":9")).contains("version 9, expected 1"));
+        assert!(refused(&replaced("hybrid", "hybrod")).contains("its model is \"hybrod\""));
+        assert!(refused(&replaced("latent", "lament")).contains("\"latent\" is missing"));
+        let mut bytes = good.clone();
+        let end = bytes.len();
+        bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(refused(&bytes).contains("NaN"));
+        assert!(Library::open(folder.path().join("none")).unwrap_err().to_string().contains("cannot read"));
+    }
+
+    #[test]
+    fn a_path_that_cannot_be_written_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("missing").join("lib.safetensors");
+        let message = Library::new(&path, libraries().remove(0)).unwrap().save().unwrap_err().to_string();
+        assert!(message.contains("cannot write"), "{message}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    proptest! {
+        #[test]
+        fn mutated_files_never_panic(at in 0..4000usize, byte in any::<u8>(), cut in 0..4000usize) {
+            for entries in libraries() {
+                let mut bytes = Library::new("", entries).unwrap().encode();
+                let at = at % bytes.len();
+                bytes[at] = byte;
+                let _ = decode(&bytes);
+                bytes.truncate(cut % bytes.len());
+                prop_assert!(decode(&bytes).is_err());
+            }
+        }
+    }
+}
