@@ -1,0 +1,442 @@
+#include <memory>
+#include <sstream>
+
+#include <mitsuba/core/fresolver.h>
+#include <mitsuba/core/properties.h>
+#include <mitsuba/core/string.h>
+#include <mitsuba/render/bsdf.h>
+
+#include "kernel_call.h"
+#include "lobes.h"
+#include "traced.h"
+
+// Without -march=haswell everything compiles, loads and computes garbage: the layout of structs differs.
+static_assert(sizeof(mitsuba::Color<float, 3>) == 16, "not the binary interface of Mitsuba's wheel");
+
+NAMESPACE_BEGIN(mitsuba)
+
+/**!
+
+.. _bsdf-glimt:
+
+Compact fit of a measured material (:monosp:`glimt`)
+----------------------------------------------------
+
+.. pluginparameters::
+
+ * - filename
+   - |string|
+   - Model library (``.safetensors``), as ``glimt fit`` writes it. Found by Mitsuba's file resolver:
+     beside the scene file or in a directory of a ``<path>`` element.
+
+ * - material
+   - |string|
+   - Name of the material in the library; ``glimt info FILE`` lists them. Not needed where the library
+     has only one.
+
+ * - kd
+   - |rgb| or |float|
+   - Edit: diffuse albedo of the analytic part, linear RGB in :math:`[0, 1]`. (Default: as fitted)
+   - |exposed|, |differentiable|
+
+ * - eta
+   - |rgb| or |float|
+   - Edit: relative index of refraction of the analytic part, one per channel, in :math:`[1, 10]`.
+     (Default: as fitted)
+   - |exposed|, |differentiable|
+
+ * - alpha, or alpha_x and alpha_y
+   - |float|
+   - Edit: GGX roughness of the analytic part, in :math:`(0, 1]`; along the tangent and the bitangent
+     for an anisotropic material. (Default: as fitted)
+   - |exposed|, |differentiable|
+
+ * - latent
+   - |float| array
+   - The code by which the shared network tells the materials of a library apart.
+   - |exposed|, |differentiable|
+
+This plugin evaluates a reflectance that was fitted to a measured material: the analytic model
+``ggx``, a hybrid of the same with a small neural network (``hybrid``, De Oliveira et al., *A Hybrid
+Neural-Microfacet BRDF Model*), a network alone (``neural``), or one of the networks of Sztrajman et
+al. 2021 (``nbrdf``). The last two have no analytic part, so that the edits are an error there.
+
+The material is one-sided; the ``twosided`` plugin makes it two-sided. It has one component, of type
+*glossy reflection* as with ``measured``: a fitted measurement has no honest split into diffuse and
+glossy. Samples come from a mixture of a cosine lobe and a GGX lobe, whose density is known exactly.
+
+**Colour.** A fit knows linear sRGB only. RGB variants use it as it is, monochromatic variants its
+luminance. Spectral variants report an error. Polarized variants depolarize.
+
+**Speed and derivatives.** The reflectance is computed by the Rust core: directly in scalar variants,
+and by a call from inside the compiled kernel in LLVM variants. Where a direction or a parameter has
+gradients enabled, and in CUDA variants, Dr.Jit traces the whole model instead, which takes seconds to
+compile where there is a network. Samples and their densities carry no derivative with respect to
+the parameters (detached sampling).
+
+.. tabs::
+    .. code-tab:: xml
+
+        <bsdf type="glimt">
+            <string name="filename" value="rgl.safetensors"/>
+            <string name="material" value="chm_orange"/>
+            <rgb name="kd" value="0.8, 0.2, 0.1"/>
+        </bsdf>
+
+    .. code-tab:: python
+
+        'type': 'glimt',
+        'filename': 'rgl.safetensors',
+        'material': 'chm_orange',
+        'kd': {'type': 'rgb', 'value': [0.8, 0.2, 0.1]}
+
+*/
+template <typename Float, typename Spectrum>
+class Glimt final : public BSDF<Float, Spectrum> {
+public:
+    MI_IMPORT_BASE(BSDF, m_flags, m_components)
+    MI_IMPORT_TYPES()
+
+    Glimt(const Properties &props) : Base(props) {
+        if constexpr (is_spectral_v<Spectrum>)
+            Throw("glimt: a fit knows linear sRGB only, and the variant \"%s\" renders spectra. Use an "
+                  "RGB or a monochromatic variant (scalar_rgb, llvm_ad_rgb, llvm_ad_mono, …).",
+                  Base::Variant);
+        if constexpr (dr::is_llvm_v<Float>)
+            require_llvm();
+
+        fs::path file = file_resolver()->resolve(props.get<std::string_view>("filename"));
+        m_file = file.filename().string();
+        rust::Box<Material> material = checked([&] {
+            return glimt::core::open(file.string(), std::string(props.get<std::string_view>("material", "")));
+        });
+        m_name = std::string(material->name());
+        m_model = glimt::TracedModel<Float>(*material);
+        fetch(*material);
+        if (read_edits(props, *material))
+            material = edit(*material);
+        m_material = share(std::move(material));
+        bind();
+    }
+
+    void traverse(TraversalCallback *cb) override {
+        if (m_material->has_microfacet()) {
+            cb->put("kd",  m_kd,  ParamFlags::Differentiable);
+            cb->put("eta", m_eta, ParamFlags::Differentiable);
+            if (m_isotropic) {
+                cb->put("alpha", m_alpha.x(), ParamFlags::Differentiable);
+            } else {
+                cb->put("alpha_x", m_alpha.x(), ParamFlags::Differentiable);
+                cb->put("alpha_y", m_alpha.y(), ParamFlags::Differentiable);
+            }
+        }
+        if (dr::width(m_latent) > 0)
+            cb->put("latent", m_latent, ParamFlags::Differentiable);
+    }
+
+    void parameters_changed(const std::vector<std::string> & /*keys*/ = {}) override {
+        m_material = share(edit(*m_material));
+        bind();
+    }
+
+    std::pair<BSDFSample3f, Spectrum> sample(const BSDFContext &ctx, const SurfaceInteraction3f &si,
+                                             Float sample1, const Point2f &sample2,
+                                             Mask active) const override {
+        MI_MASKED_FUNCTION(ProfilerPhase::BSDFSample, active);
+
+        BSDFSample3f bs = dr::zeros<BSDFSample3f>();
+        active &= Frame3f::cos_theta(si.wi) > 0.f;
+        if (!ctx.is_enabled(BSDFFlags::GlossyReflection) || dr::none_or<false>(active))
+            return { bs, 0.f };
+
+        bs.eta = 1.f;
+        bs.sampled_type = +BSDFFlags::GlossyReflection;
+        bs.sampled_component = 0;
+        Color3f weight;
+        if constexpr (!dr::is_jit_v<Float>) {
+            auto s = m_material->sample(array(si.wi), { sample1, sample2.x(), sample2.y() });
+            bs.wo = Vector3f(s.light[0], s.light[1], s.light[2]);
+            bs.pdf = s.pdf;
+            weight = Color3f(s.weight[0], s.weight[1], s.weight[2]);
+            // The core's weight is that of radiance, for which wi is the view.
+            if (ctx.mode == TransportMode::Importance && s.pdf > 0.f)
+                weight = reflectance(ctx, si.wi, bs.wo, true) * (Frame3f::cos_theta(bs.wo) / s.pdf);
+        } else {
+            bs.wo = m_lobes.sample(si.wi, sample1, sample2);
+            active &= Frame3f::cos_theta(bs.wo) > 0.f;
+            bs.pdf = dr::select(active, m_lobes.pdf(bs.wo, si.wi), 0.f);
+            weight = reflectance(ctx, si.wi, bs.wo, active) * (Frame3f::cos_theta(bs.wo) / bs.pdf);
+        }
+        return { bs, depolarizer<Spectrum>(spectrum(weight)) & (active && bs.pdf > 0.f) };
+    }
+
+    Spectrum eval(const BSDFContext &ctx, const SurfaceInteraction3f &si, const Vector3f &wo,
+                  Mask active) const override {
+        return eval_pdf_impl<true, false>(ctx, si, wo, active).first;
+    }
+
+    Float pdf(const BSDFContext &ctx, const SurfaceInteraction3f &si, const Vector3f &wo,
+              Mask active) const override {
+        return eval_pdf_impl<false, true>(ctx, si, wo, active).second;
+    }
+
+    std::pair<Spectrum, Float> eval_pdf(const BSDFContext &ctx, const SurfaceInteraction3f &si,
+                                        const Vector3f &wo, Mask active) const override {
+        return eval_pdf_impl<true, true>(ctx, si, wo, active);
+    }
+
+    std::string to_string() const override {
+        std::ostringstream oss;
+        oss << "Glimt[" << std::endl
+            << "  filename = \"" << m_file << "\"," << std::endl
+            << "  material = \"" << m_name << "\"," << std::endl
+            << "  model = " << std::string(m_material->description()) << "," << std::endl;
+        if (m_material->has_microfacet())
+            oss << "  kd = " << m_kd << "," << std::endl
+                << "  eta = " << m_eta << "," << std::endl
+                << "  alpha = " << m_alpha << "," << std::endl;
+        if (dr::width(m_latent) > 0)
+            oss << "  latent = " << m_latent << "," << std::endl;
+        oss << "  evaluation = " << (calls_from_kernel() ? "in-kernel call" : dr::is_jit_v<Float> ? "traced" : "direct call") << std::endl
+            << "]";
+        return oss.str();
+    }
+
+    MI_DECLARE_CLASS(Glimt)
+
+private:
+    using Material = glimt::core::Material;
+    using FloatStorage = DynamicBuffer<Float>;
+    static constexpr bool HasKernelCall = dr::is_llvm_v<Float>;
+    struct Nothing { };
+    /// The oldest LLVM with which Dr.Jit 1.5 renders.
+    static constexpr int MinLLVMVersion = 16;
+
+    // ----- Construction and edits -----
+
+    /// Dr.Jit's kernels abort the process with the LLVM versions that many systems have.
+    static void require_llvm() {
+        int major = 0, minor = 0, patch = 0;
+        jit_llvm_version(&major, &minor, &patch);
+        if (major < MinLLVMVersion)
+            Throw("glimt: Dr.Jit loaded LLVM %i.%i.%i, with which rendering aborts the process. Install "
+                  "version %i or later (Debian, Ubuntu: apt-get install libllvm19) and set the "
+                  "environment variable DRJIT_LIBLLVM_PATH to its libLLVM.so, or use a scalar variant.",
+                  major, minor, patch, MinLLVMVersion);
+    }
+
+    /// The result of a call into Rust; an error there becomes one of Mitsuba's.
+    template <typename Call> static rust::Box<Material> checked(const Call &call) {
+        try {
+            return call();
+        } catch (const std::exception &e) { // rust::Error
+            Throw("glimt: %s", e.what());
+        }
+    }
+
+    /// Takes the parameters over from \c material.
+    void fetch(const Material &material) {
+        if (material.has_microfacet()) {
+            auto p = material.microfacet();
+            m_kd = Color3f(p.kd[0], p.kd[1], p.kd[2]);
+            m_eta = Color3f(p.eta[0], p.eta[1], p.eta[2]);
+            m_alpha = Vector2f(p.alpha[0], p.alpha[1]);
+            m_isotropic = p.alpha[0] == p.alpha[1];
+        }
+        auto latent = material.latent();
+        if (!latent.empty())
+            m_latent = dr::load<FloatStorage>(latent.data(), latent.size());
+    }
+
+    /// Takes the edits over from the scene description. Were there any?
+    bool read_edits(const Properties &props, const Material &material) {
+        bool edited = false;
+        for (const char *name : { "kd", "eta", "alpha", "alpha_x", "alpha_y" }) {
+            if (!props.has_property(name))
+                continue;
+            if (!material.has_microfacet())
+                Throw("glimt: \"%s\" edits the analytic part of a model, but \"%s\" of \"%s\" is of the "
+                      "kind %s, which has none.", name, m_name, m_file,
+                      std::string(material.description()));
+            edited = true;
+        }
+        if (props.has_property("kd"))
+            m_kd = color(props, "kd");
+        if (props.has_property("eta"))
+            m_eta = color(props, "eta");
+        const bool along_axes = props.has_property("alpha_x") || props.has_property("alpha_y");
+        if (props.has_property("alpha")) {
+            if (along_axes)
+                Throw("glimt: give either \"alpha\" or \"alpha_x\" and \"alpha_y\", not both.");
+            m_alpha = props.get<ScalarFloat>("alpha");
+            m_isotropic = true;
+        }
+        if (along_axes) {
+            if (!props.has_property("alpha_x") || !props.has_property("alpha_y"))
+                Throw("glimt: \"alpha_x\" and \"alpha_y\" come together; for the same roughness along "
+                      "both axes use \"alpha\".");
+            m_alpha = Vector2f(props.get<ScalarFloat>("alpha_x"), props.get<ScalarFloat>("alpha_y"));
+            m_isotropic = false;
+        }
+        return edited;
+    }
+
+    /// A colour as the scene gives it, also in monochromatic variants: the core needs all three channels.
+    static ScalarColor3f color(const Properties &props, const char *name) {
+        switch (props.type(name)) {
+            case Properties::Type::Color:
+                return props.get<ScalarColor3f>(name);
+            case Properties::Type::Float:
+            case Properties::Type::Integer:
+                return props.get<ScalarFloat>(name);
+            case Properties::Type::Spectrum:
+                if (auto *s = props.try_get<Properties::Spectrum>(name); s && s->is_uniform())
+                    return (ScalarFloat) s->values.at(0);
+                [[fallthrough]];
+            default:
+                Throw("glimt: \"%s\" must be an <rgb> or a <float>.", name);
+        }
+    }
+
+    /// \c material with the parameters that this object holds.
+    rust::Box<Material> edit(const Material &material) const {
+        glimt::core::Microfacet microfacet {};
+        if (material.has_microfacet()) {
+            auto a = alpha();
+            for (size_t i = 0; i < 3; ++i) {
+                microfacet.kd[i] = host(m_kd[i], "kd");
+                microfacet.eta[i] = host(m_eta[i], "eta");
+            }
+            for (size_t i = 0; i < 2; ++i)
+                microfacet.alpha[i] = host(a[i], "alpha");
+        }
+        std::vector<float> latent(dr::width(m_latent));
+        for (size_t i = 0; i < latent.size(); ++i)
+            latent[i] = dr::detach<false>(m_latent).entry(i);
+        return checked([&] { return material.edited(microfacet, { latent.data(), latent.size() }); });
+    }
+
+    /// The value of a parameter, which is one number for the whole BSDF.
+    static float host(const Float &value, const char *name) {
+        if (dr::width(value) != 1)
+            Throw("glimt: \"%s\" has %i values, expected one.", name, dr::width(value));
+        if constexpr (dr::is_jit_v<Float>)
+            return dr::detach<false>(value).entry(0);
+        else
+            return value;
+    }
+
+    static std::shared_ptr<const Material> share(rust::Box<Material> material) {
+        return { material.into_raw(), [](Material *m) { rust::Box<Material>::from_raw(m); } };
+    }
+
+    /// Makes everything that depends on the material agree with it.
+    void bind() {
+        auto lobes = m_material->lobes();
+        m_lobes.alpha = Vector2f(lobes.alpha[0], lobes.alpha[1]);
+        m_lobes.specular_weight = lobes.specular_weight;
+        // Values that are not literals, so that a change of them compiles no new kernel.
+        dr::make_opaque(m_lobes.alpha, m_lobes.specular_weight, m_kd, m_eta, m_alpha, m_latent);
+
+        m_components.assign(1, BSDFFlags::GlossyReflection | BSDFFlags::FrontSide);
+        if (!m_material->is_isotropic())
+            m_components[0] |= +BSDFFlags::Anisotropic;
+        if (!m_material->is_reciprocal())
+            m_components[0] |= +BSDFFlags::NonSymmetric;
+        m_flags = m_components[0];
+
+        if constexpr (HasKernelCall) {
+            m_call.bind(m_material);
+            static const bool works = m_call.works();
+            if (!works)
+                Log(Warn, "The call from inside a kernel is not available (packets of %u lanes); the "
+                          "model is traced instead, which is slower.", jit_llvm_vector_width());
+            m_call_works = works;
+        }
+    }
+
+    // ----- Evaluation -----
+
+    /// f_r |cosθ_o| and the density, each where asked for.
+    template <bool Eval, bool Pdf>
+    std::pair<Spectrum, Float> eval_pdf_impl(const BSDFContext &ctx, const SurfaceInteraction3f &si,
+                                             const Vector3f &wo, Mask active) const {
+        MI_MASKED_FUNCTION(ProfilerPhase::BSDFEvaluate, active);
+
+        Float cos_theta_o = Frame3f::cos_theta(wo);
+        active &= Frame3f::cos_theta(si.wi) > 0.f && cos_theta_o > 0.f;
+        if (!ctx.is_enabled(BSDFFlags::GlossyReflection) || dr::none_or<false>(active))
+            return { 0.f, 0.f };
+
+        Spectrum value(0.f);
+        Float density(0.f);
+        if constexpr (Eval)
+            value = depolarizer<Spectrum>(
+                        spectrum(reflectance(ctx, si.wi, wo, active) * cos_theta_o)) & active;
+        if constexpr (Pdf) {
+            if constexpr (dr::is_jit_v<Float>)
+                density = dr::select(active, m_lobes.pdf(wo, si.wi), 0.f);
+            else
+                density = m_material->pdf(array(wo), array(si.wi));
+        }
+        return { value, density };
+    }
+
+    /// f_r, linear RGB. Where importance is transported, light comes from wi.
+    Color3f reflectance(const BSDFContext &ctx, const Vector3f &wi, const Vector3f &wo,
+                        const Mask &active) const {
+        const bool radiance = ctx.mode == TransportMode::Radiance;
+        const Vector3f &light = radiance ? wo : wi, &view = radiance ? wi : wo;
+        if constexpr (!dr::is_jit_v<Float>) {
+            auto f = m_material->eval(array(light), array(view));
+            return { f[0], f[1], f[2] };
+        } else {
+            if constexpr (HasKernelCall) {
+                if (calls_from_kernel() && !dr::grad_enabled(light, view, m_kd, m_eta, m_alpha, m_latent))
+                    return m_call.eval(light, view, active);
+            }
+            return m_model.eval(light, view, { m_kd, m_eta, alpha() }, m_latent, active);
+        }
+    }
+
+    /// The variant's kind of colour.
+    static UnpolarizedSpectrum spectrum(const Color3f &rgb) {
+        if constexpr (is_monochromatic_v<Spectrum>)
+            return luminance(rgb);
+        else if constexpr (is_rgb_v<Spectrum>)
+            return rgb;
+        else
+            return 0.f;
+    }
+
+    static std::array<float, 3> array(const Vector3f &w) { return { w.x(), w.y(), w.z() }; }
+
+    /// An isotropic material exposes one roughness, and only that one can carry a gradient.
+    Vector2f alpha() const { return { m_alpha.x(), m_isotropic ? m_alpha.x() : m_alpha.y() }; }
+
+    bool calls_from_kernel() const { return HasKernelCall && m_call_works; }
+
+    std::string m_file, m_name;
+    std::shared_ptr<const Material> m_material;
+    glimt::TracedModel<Float> m_model;
+    glimt::TracedLobes<Float> m_lobes;
+    std::conditional_t<HasKernelCall, glimt::KernelCall<Float>, Nothing> m_call;
+    bool m_call_works = false;
+
+    Color3f m_kd, m_eta;
+    Vector2f m_alpha;
+    bool m_isotropic = true;
+    FloatStorage m_latent;
+
+    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes.alpha, m_lobes.specular_weight)
+};
+
+#ifdef QUICK
+#undef MI_REGISTER_PLUGIN
+#define MI_REGISTER_PLUGIN(cb, id, Name)                                        \
+    cb(id, "scalar_rgb", Name<float, Color<float, 3>>::Type, [](void *, const Properties &p) -> ref<Object> { return new Name<float, Color<float, 3>>(p); }); \
+    cb(id, "llvm_ad_mono", Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 1>>::Type, [](void *, const Properties &p) -> ref<Object> { return new Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 1>>(p); }); \
+    cb(id, "llvm_ad_rgb", Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 3>>::Type, [](void *, const Properties &p) -> ref<Object> { return new Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 3>>(p); });
+#endif
+MI_EXPORT_PLUGIN(Glimt)
+NAMESPACE_END(mitsuba)

@@ -1,0 +1,137 @@
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <memory>
+
+#include <drjit-core/jit.h>
+#include <drjit/jit.h>
+#include <mitsuba/render/fwd.h>
+#include <mitsuba/core/spectrum.h>
+#include <mitsuba/core/vector.h>
+
+#include "glimt-ffi/src/bridge.rs.h"
+
+namespace glimt {
+
+namespace dr = drjit;
+
+/**
+ * \brief Evaluates a Rust material from inside the kernels that Dr.Jit compiles for the CPU
+ *
+ * The one place where a kernel of Dr.Jit 1.5 calls a foreign function is \c jit_llvm_ray_trace(),
+ * which takes any function with the convention of Embree's \c rtcIntersectN(). rust/ffi/src/packet.rs
+ * serves that convention: the "scene" is the material, the ray's origin the light direction, its
+ * direction the view direction, and the answer comes back in u, v and the primitive's index.
+ *
+ * The call has no derivative. It is not the documented purpose of that function either, which is
+ * why \ref works() compares it with direct calls before anybody relies on it.
+ */
+template <typename Float> class KernelCall {
+public:
+    using Value    = dr::detached_t<Float>;
+    using Bool     = dr::mask_t<Value>;
+    using UInt32   = dr::uint32_array_t<Value>;
+    using UInt64   = dr::uint64_array_t<Value>;
+    using Vector3f = mitsuba::Vector<Float, 3>;
+    using Color3f  = mitsuba::Color<Float, 3>;
+
+    /// Lanes per call; 0 where Dr.Jit has a vector width that the Rust side does not serve.
+    static size_t width() {
+        size_t width = jit_llvm_vector_width();
+        return core::eval_packet_address(width) ? width : 0;
+    }
+
+    /**
+     * \brief Points the call to \c material
+     *
+     * Kernels run asynchronously and can outlive the BSDF that they were recorded from. The material is
+     * therefore kept by a JIT variable too, on which every recorded call depends, and let go once the
+     * kernels that were launched before the variable went have finished.
+     */
+    void bind(std::shared_ptr<const core::Material> material) {
+        m_material = material.get();
+        m_keeper = UInt64::map_((void *) m_material, 1, false);
+        jit_var_set_callback(
+            m_keeper.index(),
+            [](uint32_t /*index*/, int free, void *owner) {
+                if (free)
+                    jit_enqueue_host_func(JitBackend::LLVM,
+                                          [](void *o) { delete static_cast<Owner *>(o); }, owner);
+            },
+            new Owner(std::move(material)));
+    }
+
+    /// f_r(light, view); 0 in the lanes that are not active.
+    Color3f eval(const Vector3f &light, const Vector3f &view, const dr::mask_t<Float> &active) const {
+        auto function = UInt64::steal(jit_var_pointer(
+            JitBackend::LLVM, (void *) core::eval_packet_address(width()), 0, 0));
+        auto material = UInt64::steal(
+            jit_var_pointer(JitBackend::LLVM, (void *) m_material, m_keeper.index(), 0));
+        auto l = dr::detach<false>(light), v = dr::detach<false>(view);
+        Bool lit = dr::detach<false>(active), coherent = false;
+        Value unused = dr::zeros<Value>();
+        UInt32 none = dr::zeros<UInt32>();
+
+        uint32_t in[14] = { coherent.index(), lit.index(),                            // Flags
+                            l.x().index(),    l.y().index(), l.z().index(),           // Origin
+                            unused.index(),                                           // Near end
+                            v.x().index(),    v.y().index(), v.z().index(),           // Direction
+                            unused.index(),   unused.index(),                         // Time, far end
+                            none.index(),     none.index(),  none.index() };          // Mask, id, flags
+        // Out: valid, t, u, v, primitive, geometry, instance, hit on an instance?
+        uint32_t out[8];
+        jit_llvm_ray_trace(function.index(), material.index(), /* shadow_ray = */ 0, in, out);
+        Value red = Value::steal(out[2]), green = Value::steal(out[3]);
+        Value blue = dr::reinterpret_array<Value>(UInt32::steal(out[4]));
+        for (uint32_t i : { 0, 1, 5, 6, 7 })
+            jit_var_dec_ref(out[i]);
+
+        // Lanes that were not called hold whatever was in the packet.
+        return { Float(dr::select(lit, red, 0.f)), Float(dr::select(lit, green, 0.f)),
+                 Float(dr::select(lit, blue, 0.f)) };
+    }
+
+    /// Does a kernel get the very values of direct calls, in active and inactive lanes?
+    bool works() const {
+        if (width() == 0)
+            return false;
+        // Pairs over the hemisphere, more than one packet and not a multiple of it.
+        constexpr size_t Count = 37;
+        std::array<std::array<float, Count>, 3> light, view;
+        std::array<bool, Count> active;
+        for (size_t i = 0; i < Count; ++i) {
+            float phi = 2.4f * (float) i, z = ((float) i + .5f) / Count, r = std::sqrt(1.f - z * z);
+            light[0][i] = r * std::cos(phi), light[1][i] = r * std::sin(phi), light[2][i] = z;
+            view[0][i] = z, view[1][i] = 0.f, view[2][i] = r;
+            active[i] = i % 5 != 2;
+        }
+        auto load = [](const auto &xyz) {
+            return Vector3f(dr::load<Value>(xyz[0].data(), Count), dr::load<Value>(xyz[1].data(), Count),
+                            dr::load<Value>(xyz[2].data(), Count));
+        };
+        Bool mask = dr::load<Bool>(active.data(), Count);
+        auto value = dr::detach<false>(eval(load(light), load(view), mask));
+        dr::eval(value);
+        for (size_t i = 0; i < Count; ++i) {
+            std::array<float, 3> expected { 0.f, 0.f, 0.f };
+            if (active[i])
+                expected = m_material->eval({ light[0][i], light[1][i], light[2][i] },
+                                            { view[0][i], view[1][i], view[2][i] });
+            for (size_t c = 0; c < 3; ++c)
+                // The kernels for one pair and for a tile round differently.
+                if (!(std::abs(value[c].entry(i) - expected[c]) <= 1e-4f * (expected[c] + 1e-3f)))
+                    return false;
+        }
+        return true;
+    }
+
+private:
+    using Owner = std::shared_ptr<const core::Material>;
+
+    const core::Material *m_material = nullptr;
+    /// Its address, as the JIT variable that keeps it.
+    UInt64 m_keeper;
+};
+
+} // namespace glimt

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <mitsuba/core/vector.h>
+
+#include "microfacet.h"
+
+namespace glimt {
+
+namespace dr = drjit;
+
+/**
+ * \brief The sampler of every glimt model as Dr.Jit traces it: a cosine lobe mixed with the visible
+ * normals of a GGX distribution
+ *
+ * The counterpart of rust/core/src/lobes.rs, number for number.
+ */
+template <typename Float> struct TracedLobes {
+    using Vector2f = mitsuba::Vector<Float, 2>;
+    using Vector3f = mitsuba::Vector<Float, 3>;
+    using Point2f  = mitsuba::Point<Float, 2>;
+
+    /// GGX roughness along x and y.
+    Vector2f alpha;
+    /// Probability of the GGX lobe.
+    Float specular_weight;
+
+    /// Density (sr⁻¹) of \c light, both directions above the horizon.
+    Float pdf(const Vector3f &light, const Vector3f &view) const {
+        using Microfacet = TracedMicrofacet<Float>;
+        Float diffuse = light.z() * dr::InvPi<Float>;
+        Float specular = .5f * Microfacet::ndf(light + view, alpha) /
+                         Microfacet::masking_denominator(view, alpha);
+        return diffuse + specular_weight * (specular - diffuse);
+    }
+
+    /// Chooses a light direction, which failed where it is below the horizon.
+    Vector3f sample(const Vector3f &view, const Float &u_lobe, const Point2f &u) const {
+        return dr::select(u_lobe < specular_weight, sample_visible_normal(view, u), sample_cosine(u));
+    }
+
+private:
+    static Vector3f sample_cosine(const Point2f &u) {
+        Float r = dr::sqrt(u.x());
+        auto [sin_phi, cos_phi] = dr::sincos(dr::TwoPi<Float> * u.y());
+        return { r * cos_phi, r * sin_phi, dr::sqrt(dr::maximum(1.f - u.x(), 0.f)) };
+    }
+
+    /// Spherical caps: Dupuy & Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps".
+    Vector3f sample_visible_normal(const Vector3f &view, const Point2f &u) const {
+        Vector3f stretch(alpha.x(), alpha.y(), 1.f);
+        Vector3f standard_view = dr::normalize(view * stretch);
+        Float z = (1.f - u.y()) * (1.f + standard_view.z()) - standard_view.z();
+        Float r = dr::sqrt(dr::maximum(1.f - z * z, 0.f));
+        auto [sin_phi, cos_phi] = dr::sincos(dr::TwoPi<Float> * u.x());
+        Vector3f cap(r * cos_phi, r * sin_phi, z);
+        Vector3f half = dr::normalize((cap + standard_view) * stretch);
+        return 2.f * dr::dot(view, half) * half - view;
+    }
+};
+
+} // namespace glimt

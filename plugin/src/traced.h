@@ -1,0 +1,132 @@
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include <mitsuba/core/logger.h>
+
+#include "features.h"
+#include "microfacet.h"
+#include "network.h"
+
+namespace glimt {
+
+namespace dr = drjit;
+
+/**
+ * \brief A whole model as Dr.Jit traces it, for derivatives and for GPUs
+ *
+ * The counterpart of rust/core/src/hybrid.rs and its neighbours, with the parameters of a material
+ * as variables that can carry gradients.
+ */
+template <typename Float> class TracedModel {
+public:
+    using Vector2f     = mitsuba::Vector<Float, 2>;
+    using Vector3f     = mitsuba::Vector<Float, 3>;
+    using Color3f      = mitsuba::Color<Float, 3>;
+    using FloatStorage = mitsuba::DynamicBuffer<Float>;
+    using Mask         = dr::mask_t<Float>;
+
+    TracedModel() = default;
+    explicit TracedModel(const core::Material &material) : m_model(material.model()) { }
+
+    /// f_r(light, view), linear RGB; 0 in the lanes that are not active.
+    Color3f eval(const Vector3f &light, const Vector3f &view, const TracedMicrofacet<Float> &microfacet,
+                 const FloatStorage &latent, const Mask &active) const {
+        // A pair that is lit in place of one that is not: derivatives of the latter may be NaN, which
+        // no mask takes back.
+        Vector3f normal(0.f, 0.f, 1.f);
+        Vector3f l = dr::select(active, light, normal), v = dr::select(active, view, normal);
+        Color3f f = 0.f;
+        switch (m_model.kind) {
+            case core::Kind::Ggx: f = microfacet.eval(l, v); break;
+            case core::Kind::Hybrid: f = hybrid(l, v, microfacet, latent, active); break;
+            case core::Kind::Neural: f = neural(l, v, latent, active); break;
+            case core::Kind::Nbrdf: f = nbrdf(l, v); break;
+        }
+        return f & active;
+    }
+
+private:
+    /// De Oliveira et al., "A Hybrid Neural-Microfacet BRDF Model", eq. 1 and its ablations.
+    Color3f hybrid(const Vector3f &light, const Vector3f &view, const TracedMicrofacet<Float> &microfacet,
+                   const FloatStorage &latent, const Mask &active) const {
+        Color3f analytic = microfacet.eval(light, view);
+        auto x = TracedFeatures<Float>::compute(m_model.inputs, light, view, microfacet.alpha);
+        if (m_model.analytic_input)
+            for (size_t c = 0; c < 3; ++c)
+                x.push_back(AnalyticScale * dr::log(analytic[c] + AnalyticFloor));
+        auto z = elements(latent, active);
+        x.insert(x.end(), z.begin(), z.end());
+        auto y = forward(m_model.network, std::move(x));
+        Color3f a = dr::minimum(Color3f(y[0], y[1], y[2]), m_model.bound);
+        switch (m_model.composition) {
+            case core::Composition::GatedResidual:
+                return dr::exp(a) + analytic / (1.f + dr::exp(-Color3f(y[3], y[4], y[5])));
+            case core::Composition::Additive:
+                return dr::maximum(analytic + a, 0.f);
+            default: // LogMultiplicative
+                return analytic * dr::exp(a);
+        }
+    }
+
+    /// Directions seen from learned shading frames, after Zeltner et al. 2024.
+    Color3f neural(const Vector3f &light, const Vector3f &view, const FloatStorage &latent,
+                   const Mask &active) const {
+        auto z = elements(latent, active);
+        auto offsets = affine(m_model.frames, z);
+        std::vector<Float> x;
+        for (size_t k = 0; k + 6 <= offsets.size(); k += 6) {
+            auto axes = frame(&offsets[k]);
+            for (const Vector3f &w : { light, view })
+                for (const Vector3f &axis : axes)
+                    x.push_back(dr::dot(axis, w));
+        }
+        x.insert(x.end(), z.begin(), z.end());
+        auto y = forward(m_model.network, std::move(x));
+        return dr::exp(dr::minimum(Color3f(y[0], y[1], y[2]), m_model.bound));
+    }
+
+    /// Tangent, bitangent and normal from offsets of the normal from z and of the tangent from x.
+    static std::array<Vector3f, 3> frame(const Float *offsets) {
+        Vector3f normal = dr::normalize(Vector3f(offsets[0], offsets[1], offsets[2] + 1.f)),
+                 tangent = Vector3f(offsets[3] + 1.f, offsets[4], offsets[5]);
+        tangent = dr::normalize(tangent - normal * dr::dot(normal, tangent));
+        return { tangent, dr::cross(normal, tangent), normal };
+    }
+
+    /// Half and difference vector with the half vector turned to azimuth 0, Sztrajman et al. 2021.
+    Color3f nbrdf(const Vector3f &light, const Vector3f &view) const {
+        Vector3f h = light + view;
+        Float across_squared = h.x() * h.x() + h.y() * h.y();
+        auto tilted = across_squared > 0.f;
+        Float across = dr::sqrt(dr::select(tilted, across_squared, 1.f));
+        Float cos_phi = dr::select(tilted, h.x() / across, 1.f),
+              sin_phi = dr::select(tilted, h.y() / across, 0.f);
+        Float length = dr::norm(h);
+        Float sin_theta = dr::select(tilted, across, 0.f) / length, cos_theta = h.z() / length;
+        Float along = light.x() * cos_phi + light.y() * sin_phi;
+        auto y = forward<Float>(m_model.network, { sin_theta, 0.f, cos_theta,
+                                                   along * cos_theta - light.z() * sin_theta,
+                                                   light.y() * cos_phi - light.x() * sin_phi,
+                                                   along * sin_theta + light.z() * cos_theta });
+        return dr::maximum(dr::exp(dr::minimum(Color3f(y[0], y[1], y[2]), NbrdfMaxOutput)) - 1.f, 0.f);
+    }
+
+    static std::vector<Float> elements(const FloatStorage &values, const Mask &active) {
+        using UInt32 = dr::uint32_array_t<Float>;
+        std::vector<Float> result;
+        for (uint32_t i = 0; i < (uint32_t) dr::width(values); ++i)
+            result.push_back(dr::gather<Float>(values, UInt32(i), active));
+        return result;
+    }
+
+    /// The scale of ln f_a as a network input, see `Form::analytic_feature` in rust/core.
+    static constexpr float AnalyticFloor = 1e-4f, AnalyticScale = .2f;
+    /// The limit of the exponent, see rust/core/src/nbrdf.rs.
+    static constexpr float NbrdfMaxOutput = 20.7f;
+
+    core::Model m_model;
+};
+
+} // namespace glimt

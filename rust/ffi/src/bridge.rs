@@ -1,0 +1,300 @@
+//! What the Mitsuba plugin calls: one material, opened, edited, evaluated and sampled.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use glimt_core::simd::Lane3;
+use glimt_core::{Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+
+use crate::packet::eval_packet_address;
+
+#[cxx::bridge(namespace = "glimt::core")]
+mod ffi {
+    /// The kind of a model.
+    enum Kind {
+        Ggx,
+        Hybrid,
+        Neural,
+        Nbrdf,
+    }
+
+    /// What a network sees of two directions, see `features.rs` of the core.
+    enum Inputs {
+        Cartesian,
+        Isotropic,
+        IsotropicReciprocal,
+        Anisotropic,
+        AnisotropicReciprocal,
+    }
+
+    /// The nonlinearity between a network's layers.
+    enum Activation {
+        HardGelu,
+        Relu,
+    }
+
+    /// How a hybrid model combines its network with its analytic part, see `hybrid.rs` of the core.
+    enum Composition {
+        GatedResidual,
+        Additive,
+        LogMultiplicative,
+    }
+
+    /// k_d, η and α of the analytic part.
+    #[derive(Clone, Copy)]
+    struct Microfacet {
+        kd: [f32; 3],
+        eta: [f32; 3],
+        alpha: [f32; 2],
+    }
+
+    /// The sampler, see `lobes.rs` of the core.
+    struct Lobes {
+        alpha: [f32; 2],
+        specular_weight: f32,
+    }
+
+    /// A sampled light direction, its density and f · cosθ / pdf.
+    struct Sample {
+        light: [f32; 3],
+        pdf: f32,
+        weight: [f32; 3],
+    }
+
+    /// One affine layer: weights as [outputs][inputs], and biases.
+    struct Layer {
+        weight: Vec<f32>,
+        bias: Vec<f32>,
+    }
+
+    /// A network; its first layer takes the features and then the latent code.
+    struct Network {
+        layers: Vec<Layer>,
+        activation: Activation,
+    }
+
+    /// All that it takes to evaluate a model elsewhere, apart from its editable parameters.
+    struct Model {
+        kind: Kind,
+        network: Network,
+        /// Hybrid and neural: the largest output that counts.
+        bound: f32,
+        /// Hybrid: what the network sees, ln f_a besides or not, and how f is made of its outputs.
+        inputs: Inputs,
+        analytic_input: bool,
+        composition: Composition,
+        /// Neural: the layer from the latent code to the shading frames.
+        frames: Layer,
+    }
+
+    extern "Rust" {
+        type Material;
+
+        /// The material `name` of the library at `path`; an empty name is the only material of its
+        /// library.
+        fn open(path: &str, name: &str) -> Result<Box<Material>>;
+        /// The same material with other parameters; what it does not have is ignored.
+        fn edited(&self, microfacet: &Microfacet, latent: &[f32]) -> Result<Box<Material>>;
+
+        fn name(&self) -> &str;
+        /// Kind and size, for people.
+        fn description(&self) -> String;
+        fn model(&self) -> Model;
+        fn has_microfacet(&self) -> bool;
+        /// The analytic part, or zeros where there is none.
+        fn microfacet(&self) -> Microfacet;
+        fn latent(&self) -> &[f32];
+        fn lobes(&self) -> Lobes;
+        fn is_isotropic(&self) -> bool;
+        fn is_reciprocal(&self) -> bool;
+
+        fn eval(&self, light: &[f32; 3], view: &[f32; 3]) -> [f32; 3];
+        fn pdf(&self, light: &[f32; 3], view: &[f32; 3]) -> f32;
+        fn sample(&self, view: &[f32; 3], u: &[f32; 3]) -> Sample;
+        fn eval_packet_address(width: usize) -> usize;
+    }
+}
+
+/// A material as C++ holds it.
+pub struct Material {
+    name: String,
+    material: glimt_core::Material,
+}
+
+/// What `f` returns, or `fallback` where it panics: a panic that reached C++ would end the process.
+pub fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
+    catch_unwind(AssertUnwindSafe(f)).unwrap_or(fallback)
+}
+
+/// What `f` returns; a panic becomes an error, for the same reason.
+fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+    guarded(Err("internal error (a panic, see the standard error stream)".into()), f)
+}
+
+fn open(path: &str, name: &str) -> Result<Box<Material>, String> {
+    guarded_result(|| {
+        let library = Library::open(path).map_err(|e| e.to_string())?;
+        let entry = library.entry((!name.is_empty()).then_some(name)).map_err(|e| e.to_string())?;
+        Ok(Box::new(Material { name: entry.name.clone(), material: entry.material.clone() }))
+    })
+}
+
+impl Material {
+    fn edited(&self, microfacet: &ffi::Microfacet, latent: &[f32]) -> Result<Box<Material>, String> {
+        guarded_result(|| {
+            let mut material = self.material.clone();
+            if material.microfacet().is_some() {
+                let ffi::Microfacet { kd, eta, alpha } = *microfacet;
+                material = material.with_microfacet(microfacet::Microfacet { kd, eta, alpha })?;
+            }
+            if !latent.is_empty() {
+                material = material.with_latent(latent.to_vec())?;
+            }
+            Ok(Box::new(Material { name: self.name.clone(), material }))
+        })
+    }
+
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn description(&self) -> String {
+        let kind = self.material.kind();
+        let Some(network) = self.material.network() else { return kind.to_owned() };
+        let layers = network.layers();
+        let sizes = [layers[0].inputs()].into_iter().chain(layers.iter().map(network::Layer::outputs));
+        let sizes: Vec<String> = sizes.map(|size| size.to_string()).collect();
+        format!("{kind} ({} network)", sizes.join("-"))
+    }
+
+    fn model(&self) -> ffi::Model {
+        let model = ffi::Model {
+            kind: ffi::Kind::Ggx,
+            network: ffi::Network { layers: Vec::new(), activation: ffi::Activation::Relu },
+            bound: 0.0,
+            inputs: ffi::Inputs::Cartesian,
+            analytic_input: false,
+            composition: ffi::Composition::GatedResidual,
+            frames: ffi::Layer { weight: Vec::new(), bias: Vec::new() },
+        };
+        match &self.material {
+            glimt_core::Material::Ggx(_) => model,
+            glimt_core::Material::Hybrid(m) => ffi::Model {
+                kind: ffi::Kind::Hybrid,
+                network: m.network().as_ref().into(),
+                bound: m.bound(),
+                inputs: m.form().inputs.into(),
+                analytic_input: m.form().analytic_input,
+                composition: m.form().composition.into(),
+                ..model
+            },
+            glimt_core::Material::Neural(m) => ffi::Model {
+                kind: ffi::Kind::Neural,
+                network: (&m.shared().network).into(),
+                bound: m.bound(),
+                frames: (&m.shared().frames).into(),
+                ..model
+            },
+            glimt_core::Material::Nbrdf(m) => {
+                ffi::Model { kind: ffi::Kind::Nbrdf, network: m.network().as_ref().into(), ..model }
+            }
+        }
+    }
+
+    fn has_microfacet(&self) -> bool {
+        self.material.microfacet().is_some()
+    }
+
+    fn microfacet(&self) -> ffi::Microfacet {
+        let zero = microfacet::Microfacet { kd: [0.0; 3], eta: [0.0; 3], alpha: [0.0; 2] };
+        let microfacet::Microfacet { kd, eta, alpha } = *self.material.microfacet().unwrap_or(&zero);
+        ffi::Microfacet { kd, eta, alpha }
+    }
+
+    fn latent(&self) -> &[f32] {
+        self.material.latent()
+    }
+
+    fn lobes(&self) -> ffi::Lobes {
+        let lobes = self.material.lobes();
+        ffi::Lobes { alpha: lobes.alpha, specular_weight: lobes.specular_weight }
+    }
+
+    fn is_isotropic(&self) -> bool {
+        match &self.material {
+            glimt_core::Material::Ggx(m) => m.microfacet().is_isotropic(),
+            glimt_core::Material::Hybrid(m) => {
+                m.form().inputs.is_isotropic() && m.microfacet().is_isotropic()
+            }
+            glimt_core::Material::Neural(_) => false,
+            glimt_core::Material::Nbrdf(_) => true,
+        }
+    }
+
+    fn is_reciprocal(&self) -> bool {
+        match &self.material {
+            glimt_core::Material::Ggx(_) => true,
+            glimt_core::Material::Hybrid(m) => m.form().inputs.is_reciprocal(),
+            glimt_core::Material::Neural(_) | glimt_core::Material::Nbrdf(_) => false,
+        }
+    }
+
+    fn eval(&self, light: &[f32; 3], view: &[f32; 3]) -> [f32; 3] {
+        let f = || self.material.eval(Vec3::from_array(*light), Vec3::from_array(*view));
+        guarded(Vec3::ZERO, f).to_array()
+    }
+
+    fn pdf(&self, light: &[f32; 3], view: &[f32; 3]) -> f32 {
+        guarded(0.0, || self.material.pdf(Vec3::from_array(*light), Vec3::from_array(*view)))
+    }
+
+    fn sample(&self, view: &[f32; 3], u: &[f32; 3]) -> ffi::Sample {
+        let sample = || self.material.sample(Vec3::from_array(*view), Vec3::from_array(*u));
+        let Sample { light, pdf, weight } = guarded(Sample::FAILED, sample);
+        ffi::Sample { light: light.to_array(), pdf, weight: weight.to_array() }
+    }
+
+    /// f_r in every lane; what the packets call.
+    pub fn eval_tile(&self, light: &Lane3, view: &Lane3, f: &mut Lane3) {
+        self.material.eval_tile(light, view, f);
+    }
+}
+
+impl From<&network::Layer> for ffi::Layer {
+    fn from(layer: &network::Layer) -> Self {
+        ffi::Layer { weight: layer.weight.clone(), bias: layer.bias.clone() }
+    }
+}
+
+impl From<&network::Network> for ffi::Network {
+    fn from(network: &network::Network) -> Self {
+        ffi::Network {
+            layers: network.layers().iter().map(Into::into).collect(),
+            activation: match network.activation() {
+                network::Activation::HardGelu => ffi::Activation::HardGelu,
+                network::Activation::Relu => ffi::Activation::Relu,
+            },
+        }
+    }
+}
+
+impl From<features::Inputs> for ffi::Inputs {
+    fn from(inputs: features::Inputs) -> Self {
+        match inputs {
+            features::Inputs::Cartesian => ffi::Inputs::Cartesian,
+            features::Inputs::Isotropic => ffi::Inputs::Isotropic,
+            features::Inputs::IsotropicReciprocal => ffi::Inputs::IsotropicReciprocal,
+            features::Inputs::Anisotropic => ffi::Inputs::Anisotropic,
+            features::Inputs::AnisotropicReciprocal => ffi::Inputs::AnisotropicReciprocal,
+        }
+    }
+}
+
+impl From<hybrid::Composition> for ffi::Composition {
+    fn from(composition: hybrid::Composition) -> Self {
+        match composition {
+            hybrid::Composition::GatedResidual => ffi::Composition::GatedResidual,
+            hybrid::Composition::Additive => ffi::Composition::Additive,
+            hybrid::Composition::LogMultiplicative => ffi::Composition::LogMultiplicative,
+        }
+    }
+}
