@@ -1,0 +1,3 @@
+//! Fitting glimt's models to measured or simulated reflectance.
+
+pub mod backprop;
