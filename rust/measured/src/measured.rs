@@ -16,6 +16,7 @@ use crate::utia::{self, Encoding, Utia};
 ///
 /// f is linear RGB in sr⁻¹, never negative; reciprocal only for [`Merl`].
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "there is one per material, and a box would cost every eval")]
 pub enum Measured {
     /// MERL `.binary`.
     Merl(Merl),

@@ -239,6 +239,7 @@ fn check_header(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::sync::LazyLock;
 
     const PATH: &str = "paint.binary";
 
@@ -424,15 +425,22 @@ mod tests {
         );
     }
 
+    static UNIFORM: LazyLock<[Merl; 2]> = LazyLock::new(|| {
+        [Interpolation::Nearest, Interpolation::Linear].map(|interpolation| Merl {
+            name: String::new(),
+            clamped: 0,
+            interpolation,
+            bins: vec![Vec3::ONE; PLANE],
+        })
+    });
+
     proptest! {
         #[test]
         fn no_pair_of_directions_panics_or_gives_anything_but_finite_numbers(
             light in prop::array::uniform3(prop::num::f32::ANY),
             view in prop::array::uniform3(prop::num::f32::ANY),
         ) {
-            let bins = vec![Vec3::ONE; PLANE];
-            let merl = Merl { name: String::new(), clamped: 0, interpolation: Interpolation::Linear, bins };
-            for merl in [merl.clone(), merl.with_interpolation(Interpolation::Nearest)] {
+            for merl in UNIFORM.iter() {
                 let f = merl.eval(light.into(), view.into());
                 prop_assert!(f.is_finite() && f.min_element() >= 0.0, "{f}");
             }
