@@ -11,8 +11,11 @@
 //! - `ndf` is the distribution of normals D over u_m and `sigma` the projected area σ of the
 //!   microfacets over the view direction (mapped as u_m).
 //!
-//! With the `jacobian` flag, f(light, view) · cosθ_light = S · D(u_m) / (4 σ(view)), otherwise = S
-//! (the paper's equation 16 and section 4). The database calls `wi` what is the view here.
+//! With the `jacobian` flag, f(light, view) · cosθ_light = S · D(u_m) / (4 σ(view)), otherwise = S.
+//! The database calls `wi` what is the view here.
+//!
+//! The interpolated S can be negative in saturated colours; f is 0 there, as in the database's own
+//! reader (Mitsuba returns the negative number).
 
 use std::f32::consts::{FRAC_1_PI, FRAC_2_PI, FRAC_PI_2, PI, TAU};
 use std::path::Path;

@@ -35,8 +35,9 @@ pub fn to_srgb(wavelengths: &[f32]) -> Vec<Vec3> {
 }
 
 /// The CIE 1931 2° colour-matching functions at a wavelength in nm: the multi-lobe fit of Wyman,
-/// Sloan & Shirley, *Simple Analytic Approximations to the CIE XYZ Color Matching Functions*, JCGT 2013,
-/// listing 1; within 0.02 of the tables everywhere.
+/// Sloan & Shirley, *Simple Analytic Approximations to the CIE XYZ Color Matching Functions*, 2013. It
+/// departs from the tables by up to 0.015, 0.010 and 0.034 (of peaks of 1.06, 1.00 and 1.78), which
+/// moves the colour of a smooth reflectance by less than 0.007.
 fn observer(nm: f64) -> DVec3 {
     let lobe = |peak: f64, left: f64, right: f64| {
         let t = (nm - peak) / if nm < peak { left } else { right };
@@ -118,5 +119,15 @@ mod tests {
         let (blue, green, red) = (band(360.0, 490.0), band(490.0, 580.0), band(580.0, 1001.0));
         assert_eq!((blue.max_position(), green.max_position(), red.max_position()), (2, 1, 0));
         assert!((blue + green + red - 1.0).abs().max_element() < 1e-5);
+    }
+
+    #[test]
+    fn a_reflectance_has_the_colour_that_mitsuba_gives_it() {
+        // Mitsuba 3.9.1, scalar_rgb: mi.load_dict({"type": "spectrum", "value": [(nm, r), …]}) of the
+        // same polyline at every nm, which integrates the CIE tables under D65.
+        let mitsuba = Vec3::new(0.510_186, 0.631_013, 0.199_852);
+        let (nm, values) = ([360.0, 450.0, 550.0, 650.0, 830.0], [0.1, 0.2, 0.7, 0.4, 0.6]);
+        let found: Vec3 = to_srgb(&nm).into_iter().zip(values).map(|(weight, r)| weight * r).sum();
+        assert!((found - mitsuba).abs().max_element() < 3e-3, "{found}");
     }
 }

@@ -4,14 +4,14 @@
 //! 288 × 288. Rows are light directions and columns view directions, both numbered θ-major:
 //! θ = 0°, 15° … 75° and φ = 0°, 7.5° … 352.5°.
 //!
-//! **Scale.** The numbers are not yet sr⁻¹. Dupuy's `dj_brdf`, with a constant from the database's
-//! author, takes f = 100 · sRGB⁻¹(v / 140), which for v below 5.7 is v · 0.0553; the database's sample
-//! code shows v itself as a colour. [`Encoding::Reflectance`] is the former and the default,
-//! [`Encoding::Raw`] the latter. Values are decoded before they are interpolated (`dj_brdf` decodes
-//! after: the same for v below 5.7).
+//! **Scale.** The format does not say what unit the numbers v have, and its public readers differ.
+//! Dupuy's `dj_brdf`, with a constant from the database's author, takes f = 100 · sRGB⁻¹(v / 140) in
+//! sr⁻¹, which for v below 5.7 is 0.0553 v; ports of the author's sample code return v itself.
+//! [`Encoding::Reflectance`] is the former and the default, [`Encoding::Raw`] the latter. Values are
+//! decoded before they are interpolated (`dj_brdf` decodes after: the same for v below 5.7).
 //!
 //! **Interpolation** is linear in the four angles, cyclic in φ. Above 75° it goes on along the last
-//! interval, as in the database's sample code, down to 0 at the lowest.
+//! interval, as in all of these, but never below 0.
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 use std::path::Path;
