@@ -55,9 +55,9 @@ def point_drjit_to_llvm():
     elif versions:
         os.environ["DRJIT_LIBLLVM_PATH"] = NO_LLVM
         warnings.warn(
-            f"The newest libLLVM found is version {max(versions)}, with which Mitsuba's llvm_* variants abort "
-            f"the process, so they are disabled; scalar_* variants work. Fix: install version {BEST_LLVM} "
-            f"(Debian, Ubuntu: apt-get install libllvm{BEST_LLVM}), or set DRJIT_LIBLLVM_PATH.",
+            f"The newest libLLVM found is version {max(versions)}, with which Mitsuba's llvm_* variants "
+            f"abort the process, so they are disabled; scalar_* variants work. Fix: install version "
+            f"{BEST_LLVM} (Debian, Ubuntu: apt-get install libllvm{BEST_LLVM}), or set DRJIT_LIBLLVM_PATH.",
             RuntimeWarning,
             stacklevel=4,
         )

@@ -163,7 +163,7 @@ public:
                 weight = reflectance(ctx, si.wi, bs.wo, true) * (Frame3f::cos_theta(bs.wo) / s.pdf);
         } else {
             bs.wo = m_lobes.sample(si.wi, sample1, sample2);
-            active &= Frame3f::cos_theta(bs.wo) > 0.f;
+            active &= is_lit(si.wi, bs.wo);
             bs.pdf = dr::select(active, m_lobes.pdf(bs.wo, si.wi), 0.f);
             weight = reflectance(ctx, si.wi, bs.wo, active) * (Frame3f::cos_theta(bs.wo) / bs.pdf);
         }
@@ -364,7 +364,7 @@ private:
         MI_MASKED_FUNCTION(ProfilerPhase::BSDFEvaluate, active);
 
         Float cos_theta_o = Frame3f::cos_theta(wo);
-        active &= Frame3f::cos_theta(si.wi) > 0.f && cos_theta_o > 0.f;
+        active &= is_lit(si.wi, wo);
         if (!ctx.is_enabled(BSDFFlags::GlossyReflection) || dr::none_or<false>(active))
             return { 0.f, 0.f };
 
@@ -380,6 +380,12 @@ private:
                 density = m_material->pdf(array(wo), array(si.wi));
         }
         return { value, density };
+    }
+
+    /// Can this pair carry energy: both directions above the horizon, and no NaN among them?
+    static Mask is_lit(const Vector3f &wi, const Vector3f &wo) {
+        return Frame3f::cos_theta(wi) > 0.f && Frame3f::cos_theta(wo) > 0.f &&
+               dr::all(dr::isfinite(wi + wo));
     }
 
     /// f_r, linear RGB. Where importance is transported, light comes from wi.

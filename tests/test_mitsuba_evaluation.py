@@ -1,0 +1,157 @@
+"""The same f in every variant and by every way of evaluation, against a float64 reference."""
+
+import numpy as np
+import pytest
+from mitsuba_common import LIBRARIES, MICROFACET, dr, hemisphere, interaction, load, mi, write_libraries
+
+PAIRS = 10_000
+
+
+@pytest.fixture(scope="module")
+def libraries(tmp_path_factory):
+    return write_libraries(tmp_path_factory.mktemp("libraries"))
+
+
+def evaluate(bsdf, light, view, traced=False):
+    """f (3, n) and pdf (n) of a bsdf of the current LLVM variant."""
+    si, wo = interaction(view), mi.Vector3f(light)
+    if traced:
+        # A direction that may need a derivative rules the call into Rust out.
+        dr.enable_grad(si.wi)
+    value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo)
+    return np.array(dr.detach(value)) / light[2], np.array(dr.detach(pdf))
+
+
+def analytic(light, view, kd, eta, alpha):
+    """f_a in float64, as Walter et al. 2007 and Heitz 2014 print it."""
+    light, view = light.astype(np.float64), view.astype(np.float64)
+    a = np.array([alpha[0], alpha[-1]])
+    half = light + view
+    half /= np.linalg.norm(half, axis=0)
+    cos_d = np.sum(light * half, axis=0)
+    slope = (half[0] / a[0]) ** 2 + (half[1] / a[1]) ** 2
+    d = 1 / (np.pi * a[0] * a[1] * (slope + half[2] ** 2) ** 2)
+
+    def g1(w):
+        return 2 / (1 + np.sqrt(1 + ((a[0] * w[0]) ** 2 + (a[1] * w[1]) ** 2) / w[2] ** 2))
+
+    f = []
+    for k, n in zip(kd, eta):
+        cos_t = np.sqrt(1 - (1 - cos_d**2) / n**2)
+        perpendicular = (cos_d - n * cos_t) / (cos_d + n * cos_t)
+        parallel = (n * cos_d - cos_t) / (n * cos_d + cos_t)
+        fresnel = 0.5 * (perpendicular**2 + parallel**2)
+        f.append(k / np.pi + fresnel * d * g1(light) * g1(view) / (4 * light[2] * view[2]))
+    return np.array(f)
+
+
+@pytest.mark.parametrize("material", MICROFACET)
+def test_ggx_is_the_textbook(libraries, material):
+    mi.set_variant("llvm_ad_rgb")
+    light, view = hemisphere(PAIRS, 1), hemisphere(PAIRS, 2)
+    f, _ = evaluate(load(libraries["ggx"], material), light, view)
+    truth = analytic(light, view, *MICROFACET[material])
+    assert np.max(np.abs(f - truth) / truth) < 1e-4
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_traced_way_is_the_in_kernel_call(libraries, library):
+    mi.set_variant("llvm_ad_rgb")
+    light, view = hemisphere(PAIRS, 3), hemisphere(PAIRS, 4)
+    bsdf = load(libraries[library], "metal")
+    assert "in-kernel call" in str(bsdf)
+    call, pdf = evaluate(bsdf, light, view)
+    traced, traced_pdf = evaluate(bsdf, light, view, traced=True)
+    # Two of the models subtract numbers of order 1, which leaves an absolute error.
+    absolute = 2e-6 if library in ("nbrdf", "hybrid_additive") else 1e-9
+    assert np.all(np.abs(call - traced) <= 1e-5 * call + absolute)
+    assert np.allclose(pdf, traced_pdf, rtol=1e-5)
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_scalar_variant_is_the_in_kernel_call(libraries, library):
+    n = 1000
+    light, view = hemisphere(n, 5), hemisphere(n, 6)
+    mi.set_variant("llvm_ad_rgb")
+    bsdf = load(libraries[library], "metal")
+    f, pdf = evaluate(bsdf, light, view)
+    u = np.random.default_rng(7).random((3, n), np.float32)
+    sample, weight = bsdf.sample(mi.BSDFContext(), interaction(view), mi.Float(u[0]), mi.Point2f(u[1:]))
+    wo, sample_pdf, weight = np.array(sample.wo), np.array(sample.pdf), np.array(weight)
+
+    mi.set_variant("scalar_rgb")
+    bsdf, ctx, si = load(libraries[library], "metal"), mi.BSDFContext(), mi.SurfaceInteraction3f()
+    for i in range(n):
+        si.wi = view[:, i]
+        value, density = bsdf.eval_pdf(ctx, si, light[:, i])
+        assert np.allclose(np.array(value) / light[2, i], f[:, i], rtol=1e-5, atol=1e-7)
+        assert np.isclose(density, pdf[i], rtol=1e-5)
+        sample, w = bsdf.sample(ctx, si, u[0, i], u[1:, i])
+        # A direction at the horizon may fail on one side only.
+        if min(sample.wo.z, wo[2, i]) > 1e-4:
+            assert np.allclose(sample.wo, wo[:, i], atol=1e-5)
+            # The weight of a direction that differs in the last digit differs with the lobe's slope.
+            assert np.isclose(sample.pdf, sample_pdf[i], rtol=1e-3)
+            assert np.allclose(w, weight[:, i], rtol=1e-3, atol=1e-6)
+        else:
+            assert sample.pdf == 0 or wo[2, i] < 2e-4
+
+
+def test_monochromatic_variants_have_the_luminance(libraries):
+    light, view = hemisphere(100, 8), hemisphere(100, 9)
+    mi.set_variant("llvm_ad_rgb")
+    rgb, pdf = evaluate(load(libraries["hybrid"]), light, view)
+    mi.set_variant("llvm_ad_mono")
+    mono, mono_pdf = evaluate(load(libraries["hybrid"]), light, view)
+    assert np.allclose(mono[0], np.array([0.212671, 0.715160, 0.072169]) @ rgb, rtol=1e-5)
+    assert np.array_equal(pdf, mono_pdf)
+
+
+def test_polarized_variants_depolarize(libraries):
+    light, view = hemisphere(100, 8), hemisphere(100, 9)
+    mi.set_variant("llvm_ad_mono")
+    mono, _ = evaluate(load(libraries["hybrid"]), light, view)
+    mi.set_variant("llvm_ad_mono_polarized")
+    si, wo = interaction(view), mi.Vector3f(light)
+    mueller = load(libraries["hybrid"]).eval(mi.BSDFContext(), si, wo)
+    for row in range(4):
+        for column in range(4):
+            entry = np.array(mueller[row, column]) * np.ones(100)
+            expected = mono[0] * light[2] if row == column == 0 else 0
+            assert np.allclose(entry, expected, rtol=1e-6), (row, column)
+
+
+@pytest.mark.parametrize("library", ["hybrid", "nbrdf", "neural"])
+def test_importance_transport_swaps_the_roles(libraries, library):
+    mi.set_variant("llvm_ad_rgb")
+    light, view = hemisphere(200, 10), hemisphere(200, 11)
+    bsdf = load(libraries[library])
+    radiance, _ = evaluate(bsdf, light, view)
+    adjoint = bsdf.eval(mi.BSDFContext(mi.TransportMode.Importance), interaction(light), mi.Vector3f(view))
+    assert np.allclose(np.array(adjoint) / view[2], radiance, rtol=1e-5)
+
+    mi.set_variant("scalar_rgb")
+    bsdf, ctx = load(libraries[library]), mi.BSDFContext(mi.TransportMode.Importance)
+    si = mi.SurfaceInteraction3f()
+    for i in range(50):
+        si.wi = light[:, i]
+        sample, weight = bsdf.sample(ctx, si, view[2, i], view[:2, i] * 0.5 + 0.5)
+        if sample.pdf > 0:
+            expected = np.array(bsdf.eval(ctx, si, sample.wo)) / sample.pdf
+            assert np.allclose(weight, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])
+def test_below_the_horizon_and_nan_give_zero(libraries, variant):
+    mi.set_variant(variant)
+    bsdf, ctx = load(libraries["hybrid"]), mi.BSDFContext()
+    up, down, nan = [0.6, 0, 0.8], [0.6, 0, -0.8], [float("nan"), 0, 0.8]
+    for wi, wo in ((down, up), (up, down), (down, down), (nan, up), (up, nan)):
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = mi.Vector3f(wi)
+        value, pdf = bsdf.eval_pdf(ctx, si, mi.Vector3f(wo))
+        assert not np.any(np.array(value)) and not np.any(np.array(pdf)), (wi, wo)
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(down)
+    sample, weight = bsdf.sample(ctx, si, 0.5, mi.Point2f(0.3, 0.4))
+    assert not np.any(np.array(weight)) and not np.any(np.array(sample.pdf))
