@@ -273,7 +273,7 @@ impl SampleBrdf for Rgl {
     }
 }
 
-/// Elevation of a unit vector above the normal's foot, θ in radians; exact near the normal, where
+/// Angle between a unit vector and the normal in radians; exact near the normal, where
 /// the arc cosine of z has lost its digits.
 #[inline]
 fn elevation(d: Vec3) -> f32 {
