@@ -34,8 +34,8 @@ use crate::warp::Warp;
 /// would overflow, and the cosine counts as this.
 const MIN_COS_THETA: f32 = 1e-6;
 /// The density has a pole where the half vector is the normal. Closer to it than 10⁻⁷ rad, where
-/// float32 directions cannot tell the two apart, the Jacobian (31 u³ there) stays at this. RGL and
-/// Mitsuba stop at 10⁻⁶, within which 0.3 % of the unit square lies: too much for an exact density.
+/// float32 directions cannot tell the two apart, the Jacobian (31 u³ there) stays at this. Mitsuba
+/// stops at 10⁻⁶, within which 0.3 % of the unit square lies: too much for an exact density.
 const MIN_JACOBIAN: f32 = 5e-10;
 
 /// A measurement of the RGL material database, isotropic or anisotropic, in linear sRGB.
