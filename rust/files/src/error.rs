@@ -1,0 +1,60 @@
+//! What can go wrong with a file. Every message names it.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a file could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// An error of a model library.
+    #[error(transparent)]
+    Library(#[from] glimt_core::Error),
+    /// An error of a measured file.
+    #[error(transparent)]
+    Measured(#[from] glimt_measured::Error),
+    /// The operating system would not let the file be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The operating system would not let the file be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// The file is broken, or it holds something else than what was asked for.
+    #[error("{} is not {format}: {reason}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What it should have been, with an article.
+        format: &'static str,
+        /// What was found and what was expected.
+        reason: String,
+    },
+    /// Neither content nor file name fits a format that is known here.
+    #[error(
+        "{}: {found}; expected a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) \
+         measurement, or NBRDF weights (.npz, or .npy files named *_fc1.npy …)",
+        path.display()
+    )]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+        /// What stands there.
+        found: String,
+    },
+}
+
+impl Error {
+    /// An error of reading `path`, for `map_err`.
+    pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Error + '_ {
+        |source| Error::Read { path: path.to_owned(), source }
+    }
+}

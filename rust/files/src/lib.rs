@@ -1,0 +1,22 @@
+//! Every file that holds reflectance, opened by its content: model libraries, measured tables, and the
+//! network weights that Sztrajman et al. publish; and NumPy arrays.
+//!
+//! ```no_run
+//! use glimt_core::Vec3;
+//! use glimt_files::Source;
+//!
+//! let source = Source::open("gold-metallic-paint.npz")?;
+//! println!("{}: {}", source.kind(), source.brdf(None)?.eval(Vec3::Z, Vec3::Z));
+//! # Ok::<(), glimt_files::Error>(())
+//! ```
+
+mod error;
+pub mod nbrdf;
+pub mod npy;
+mod source;
+mod table;
+
+pub use error::Error;
+pub use npy::Array;
+pub use source::{Source, sha256};
+pub use table::Table;
