@@ -1,3 +1,11 @@
 //! Fitting glimt's models to measured or simulated reflectance.
 
+pub mod adamw;
+pub mod analytic;
 pub mod backprop;
+pub mod ggx;
+pub mod hybrid;
+pub mod loss;
+pub mod objective;
+pub mod pairs;
+pub mod train;

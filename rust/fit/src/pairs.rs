@@ -1,0 +1,175 @@
+//! The pairs of directions that a fit looks at, and the material's values there.
+//!
+//! Errors are reported over cosine-distributed pairs, but few of those fall into a narrow lobe. Half
+//! of the lights are therefore drawn from GGX lobes of several widths about the mirror direction,
+//! and every pair carries the weight that makes sums over the mixture equal sums over the cosine
+//! distribution: lobes are seen often, and count what they should.
+
+use std::f32::consts::{FRAC_1_PI, TAU};
+
+use glam::Vec3;
+use glimt_core::simd::LANES;
+use glimt_core::{Brdf, lobes::Lobes};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::backprop::{BLOCK, COLUMNS, Row, ZERO_ROW};
+
+/// A block of pairs, structure of arrays.
+#[derive(Clone)]
+pub struct PairBlock {
+    /// Directions to the light, [component].
+    pub light: [Row; 3],
+    /// Directions to the viewer, [component].
+    pub view: [Row; 3],
+    /// Weight of each pair: its density under the cosine distribution over that under the mixture.
+    pub weight: Row,
+}
+
+/// f of one material for a block of pairs, [channel].
+pub type TargetBlock = [Row; 3];
+
+/// How lights are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Drawing {
+    /// By the cosine alone, as in the paper.
+    Cosine,
+    /// By the cosine and by lobes, weighted.
+    Lobes,
+}
+
+/// Roughnesses of the lobes that lights are drawn from.
+const LOBE_ALPHAS: [f32; 3] = [0.03, 0.1, 0.3];
+
+/// `count` blocks of pairs, by the seed alone: the same whatever ran before, on any machine.
+///
+/// The points are a Kronecker sequence with the generalised golden ratio of five dimensions
+/// (Roberts 2018), shifted at random, so that every block covers the hemispheres evenly.
+#[must_use]
+pub fn draw(drawing: Drawing, seed: u64, epoch: u64, count: usize) -> Vec<PairBlock> {
+    let mut rng = Pcg64::seed_from_u64(seed ^ epoch.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let shift: [f64; 5] = std::array::from_fn(|_| rng.random());
+    // The root of x⁶ = x + 1.
+    const GOLDEN: f64 = 1.134_724_138_401_519_5;
+    let point = |n: usize| -> [f32; 5] {
+        std::array::from_fn(|d| (shift[d] + n as f64 * GOLDEN.powi(-(d as i32) - 1)).fract() as f32)
+    };
+    let blocks = 0..count;
+    blocks
+        .into_par_iter()
+        .map(|block| {
+            let mut pairs = PairBlock { light: [ZERO_ROW; 3], view: [ZERO_ROW; 3], weight: ZERO_ROW };
+            for i in 0..BLOCK {
+                let (light, view, weight) = pair(drawing, point(block * BLOCK + i));
+                let (column, lane) = (i / LANES, i % LANES);
+                for c in 0..3 {
+                    pairs.light[c][column][lane] = light[c];
+                    pairs.view[c][column][lane] = view[c];
+                }
+                pairs.weight[column][lane] = weight;
+            }
+            pairs
+        })
+        .collect()
+}
+
+/// A pair and its weight from five numbers in [0, 1).
+fn pair(drawing: Drawing, u: [f32; 5]) -> (Vec3, Vec3, f32) {
+    let view = cosine(u[0], u[1]);
+    let share = match drawing {
+        Drawing::Cosine => 0.0,
+        Drawing::Lobes => 0.5,
+    };
+    let light = if u[2] < share {
+        let turn = ((u[2] / share * LOBE_ALPHAS.len() as f32) as usize).min(LOBE_ALPHAS.len() - 1);
+        let lobe = Lobes { alpha: [LOBE_ALPHAS[turn]; 2], specular_weight: 1.0 };
+        // A light below the horizon carries nothing; the pair counts 0.
+        match lobe.sample_direction(view, Vec3::new(0.0, u[3], u[4])) {
+            Some(light) => light,
+            None => return (Vec3::Z, view, 0.0),
+        }
+    } else {
+        cosine(u[3], u[4])
+    };
+    if share == 0.0 {
+        return (light, view, 1.0);
+    }
+    let diffuse = light.z * FRAC_1_PI;
+    let specular: f32 =
+        LOBE_ALPHAS.iter().map(|&a| Lobes { alpha: [a; 2], specular_weight: 1.0 }.pdf(light, view)).sum();
+    let pdf = (1.0 - share) * diffuse + share * specular / LOBE_ALPHAS.len() as f32;
+    (light, view, diffuse / pdf)
+}
+
+fn cosine(u1: f32, u2: f32) -> Vec3 {
+    // A hair above the horizon, so that no pair is exactly grazing.
+    const LEAST_COS: f32 = 1e-4;
+    let (r, phi) = (u1.sqrt(), TAU * u2);
+    Vec3::new(r * phi.cos(), r * phi.sin(), (1.0 - u1).max(0.0).sqrt().max(LEAST_COS))
+}
+
+/// The material's values for every block.
+#[must_use]
+pub fn evaluate(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
+    blocks
+        .par_iter()
+        .map(|pairs| {
+            let mut target = [ZERO_ROW; 3];
+            for column in 0..COLUMNS {
+                let of = |rows: &[Row; 3]| [rows[0][column], rows[1][column], rows[2][column]];
+                let mut f = [[0.0; LANES]; 3];
+                brdf.eval_tile(&of(&pairs.light), &of(&pairs.view), &mut f);
+                for (target, f) in target.iter_mut().zip(f) {
+                    target[column] = f;
+                }
+            }
+            target
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mean(blocks: &[PairBlock], value: impl Fn(Vec3, Vec3) -> f64) -> f64 {
+        let mut sum = 0.0;
+        for b in blocks {
+            for i in 0..BLOCK {
+                let (c, l) = (i / LANES, i % LANES);
+                let at = |rows: &[Row; 3]| Vec3::new(rows[0][c][l], rows[1][c][l], rows[2][c][l]);
+                sum += f64::from(b.weight[c][l]) * value(at(&b.light), at(&b.view));
+            }
+        }
+        sum / (blocks.len() * BLOCK) as f64
+    }
+
+    #[test]
+    fn weighted_lobe_pairs_have_the_means_of_cosine_pairs() {
+        let cosine = draw(Drawing::Cosine, 1, 0, 400);
+        let lobes = draw(Drawing::Lobes, 1, 0, 400);
+        let sharp = |l: Vec3, v: Vec3| f64::from((l + v).normalize().z).powi(200);
+        for (name, value) in [
+            ("1", (|_, _| 1.0) as fn(Vec3, Vec3) -> f64),
+            ("cos light", |l, _| l.z.into()),
+            ("cos view · x", |l, v| f64::from(v.z * l.x * l.x)),
+        ] {
+            let (a, b) = (mean(&cosine, value), mean(&lobes, value));
+            assert!((a - b).abs() < 4e-3 * a.abs().max(0.1), "{name}: {a} and {b}");
+        }
+        let (a, b) = (mean(&cosine, sharp), mean(&lobes, sharp));
+        assert!((a / b - 1.0).abs() < 0.05, "sharp lobe: {a} and {b}");
+    }
+
+    #[test]
+    fn a_seed_and_an_epoch_are_all_that_pairs_depend_on() {
+        let a = draw(Drawing::Lobes, 5, 3, 4);
+        let b = draw(Drawing::Lobes, 5, 3, 2);
+        assert_eq!(a[1].light, b[1].light);
+        assert_ne!(draw(Drawing::Lobes, 5, 4, 1)[0].light, a[0].light);
+        assert_ne!(draw(Drawing::Lobes, 6, 3, 1)[0].light, a[0].light);
+    }
+}

@@ -1,0 +1,202 @@
+//! The training loop: the same for every objective.
+
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use glimt_core::Brdf;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::adamw::{AdamW, Moments, clip_norm, cosine_decay};
+use crate::backprop::BLOCK;
+use crate::objective::Objective;
+use crate::pairs::{self, Drawing, PairBlock, TargetBlock};
+
+/// How long and how fast.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Schedule {
+    /// Steps of the optimiser.
+    pub steps: u64,
+    /// Blocks of [`BLOCK`] pairs in a step, for every material.
+    pub blocks: usize,
+    /// Seed of directions and first numbers.
+    pub seed: u64,
+    /// Learning rate at the start; a cosine brings it to 0.
+    pub rate: f32,
+    /// Largest norm of a step's gradient.
+    pub clip: f32,
+    /// The optimiser.
+    pub adamw: AdamW,
+    /// How lights are drawn.
+    pub drawing: Drawing,
+    /// Whether the shared numbers stay as they are, and only the materials' own move.
+    pub freeze_shared: bool,
+}
+
+/// Blocks that are drawn and evaluated at a time.
+const POOL_BLOCKS: usize = 256;
+/// How often every block of a pool is used: evaluating a measurement costs several times what a
+/// step on it costs.
+const POOL_PASSES: usize = 8;
+
+/// Where a fit is: all that is needed to go on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State {
+    /// Shared numbers, then each material's own.
+    pub numbers: Vec<f32>,
+    /// The optimiser's means.
+    pub moments: Moments,
+    /// Steps that are done.
+    pub step: u64,
+}
+
+impl State {
+    /// The start of a fit from its first numbers.
+    #[must_use]
+    pub fn new(numbers: Vec<f32>) -> Self {
+        State { moments: Moments::new(numbers.len()), numbers, step: 0 }
+    }
+}
+
+/// What a fit reports as it goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress {
+    /// Steps that are done.
+    pub step: u64,
+    /// Steps in all.
+    pub steps: u64,
+    /// Loss per pair and channel, mean over the materials and the steps since the last report.
+    pub loss: f64,
+    /// Steps per second of this run.
+    pub rate: f64,
+}
+
+/// Steps between reports.
+const REPORT_EVERY: u64 = 50;
+
+/// Runs `state` to the end of `schedule`, or until `report` breaks; says whether it came to the end.
+///
+/// The result depends on the schedule and the materials alone: not on the number of threads, nor on
+/// how often the fit was interrupted.
+pub fn train<O: Objective>(
+    objective: &O,
+    materials: &[&dyn Brdf],
+    schedule: &Schedule,
+    state: &mut State,
+    report: &mut dyn FnMut(&Progress, &State) -> ControlFlow<()>,
+) -> bool {
+    let epoch_steps = (POOL_BLOCKS * POOL_PASSES / schedule.blocks) as u64;
+    let mut pool = Pool { epoch: u64::MAX, pairs: Vec::new(), targets: Vec::new() };
+    let (start, first) = (Instant::now(), state.step);
+    let mut loss = 0.0;
+    while state.step < schedule.steps {
+        let epoch = state.step / epoch_steps;
+        if pool.epoch != epoch {
+            pool = Pool::new(materials, schedule, epoch);
+        }
+        let blocks = pool.batch(schedule, state.step % epoch_steps);
+        let (step_loss, mut gradient) = gradient(objective, &state.numbers, &pool, &blocks);
+        loss += step_loss / materials.len() as f64;
+        if schedule.freeze_shared {
+            gradient[..objective.shared_len()].fill(0.0);
+        }
+        clip_norm(&mut gradient, schedule.clip);
+        let rate = cosine_decay(schedule.rate, state.step, schedule.steps);
+        let decays = |i| !schedule.freeze_shared && objective.decays(i);
+        state.step += 1;
+        schedule.adamw.update(&mut state.numbers, &gradient, &mut state.moments, state.step, rate, decays);
+
+        if state.step % REPORT_EVERY == 0 || state.step == schedule.steps {
+            let done = (state.step - 1) % REPORT_EVERY + 1;
+            let progress = Progress {
+                step: state.step,
+                steps: schedule.steps,
+                loss: loss / done as f64,
+                rate: (state.step - first) as f64 / start.elapsed().as_secs_f64(),
+            };
+            loss = 0.0;
+            if report(&progress, state).is_break() {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+/// Pairs of one epoch and every material's values there.
+struct Pool {
+    epoch: u64,
+    pairs: Vec<PairBlock>,
+    /// [material][block].
+    targets: Vec<Vec<TargetBlock>>,
+}
+
+impl Pool {
+    fn new(materials: &[&dyn Brdf], schedule: &Schedule, epoch: u64) -> Self {
+        let pairs = pairs::draw(schedule.drawing, schedule.seed, epoch, POOL_BLOCKS);
+        let targets = materials.iter().map(|&material| pairs::evaluate(material, &pairs)).collect();
+        Pool { epoch, pairs, targets }
+    }
+
+    /// The blocks of a step: every pass goes through the pool in another order.
+    fn batch(&self, schedule: &Schedule, step: u64) -> Vec<usize> {
+        let first = step as usize * schedule.blocks;
+        (first..first + schedule.blocks)
+            .map(|i| {
+                let (pass, position) = (i / POOL_BLOCKS, i % POOL_BLOCKS);
+                // An odd stride visits every block of a pool whose size is a power of two.
+                (position * (2 * pass + 1) * STRIDE + pass) % POOL_BLOCKS
+            })
+            .collect()
+    }
+}
+
+/// Odd, and far from any simple fraction of the pool.
+const STRIDE: usize = 79;
+
+/// Loss per pair and channel summed over the materials, and its gradient.
+fn gradient<O: Objective>(objective: &O, numbers: &[f32], pool: &Pool, blocks: &[usize]) -> (f64, Vec<f32>) {
+    let (shared, own) = numbers.split_at(objective.shared_len());
+    let own_len = objective.own_len();
+    let work: Vec<(usize, usize)> = (0..pool.targets.len())
+        .flat_map(|material| blocks.iter().map(move |&block| (material, block)))
+        .collect();
+    let parts: Vec<(f64, Vec<f32>, Vec<f32>)> = work
+        .par_iter()
+        .map_init(
+            || objective.workspace(),
+            |workspace, &(material, block)| {
+                let mut shared_gradient = vec![0.0; shared.len()];
+                let mut own_gradient = vec![0.0; own_len];
+                let loss = objective.block(
+                    workspace,
+                    shared,
+                    &own[material * own_len..][..own_len],
+                    &pool.pairs[block],
+                    &pool.targets[material][block],
+                    &mut shared_gradient,
+                    &mut own_gradient,
+                );
+                (loss, shared_gradient, own_gradient)
+            },
+        )
+        .collect();
+    // Added up in the order of the work, whichever thread did it.
+    let mut total = 0.0;
+    let mut gradient = vec![0.0; numbers.len()];
+    for ((material, _), (loss, shared_part, own_part)) in work.iter().zip(parts) {
+        total += loss;
+        let at = shared.len() + material * own_len;
+        add(&mut gradient[..shared.len()], &shared_part);
+        add(&mut gradient[at..at + own_len], &own_part);
+    }
+    let scale = 1.0 / (blocks.len() * BLOCK * 3) as f32;
+    gradient.iter_mut().for_each(|g| *g *= scale);
+    (total * f64::from(scale), gradient)
+}
+
+fn add(sum: &mut [f32], part: &[f32]) {
+    for (sum, part) in sum.iter_mut().zip(part) {
+        *sum += part;
+    }
+}
