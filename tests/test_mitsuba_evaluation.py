@@ -107,6 +107,35 @@ def test_monochromatic_variants_have_the_luminance(libraries):
     assert np.array_equal(pdf, mono_pdf)
 
 
+@pytest.mark.parametrize("variant", ["scalar_spectral", "llvm_ad_spectral"])
+def test_spectral_variants_show_the_rgb_colour_under_d65(libraries, variant):
+    """∫ f(λ) D65(λ) x̄ȳz̄(λ) dλ in linear sRGB is the rgb value, and no wavelength exceeds its channels."""
+    light, view = hemisphere(5, 8), hemisphere(5, 9)
+    mi.set_variant("llvm_ad_rgb")
+    rgb, _ = evaluate(load(libraries["hybrid"]), light, view)
+    mi.set_variant("llvm_ad_spectral")
+    grid = np.linspace(360, 830, 941).astype(np.float32)
+    d65 = dr.zeros(mi.SurfaceInteraction3f, len(grid))
+    d65.wavelengths = mi.Spectrum(mi.Float(grid))
+    emission = np.array(mi.load_dict({"type": "d65"}).eval(d65))[0]
+    xyz = emission * np.array(mi.cie1931_xyz(mi.Float(grid)))
+    srgb = np.array(mi.xyz_to_srgb(mi.Color3f(*xyz)))
+    srgb /= srgb.sum(axis=1, keepdims=True)
+
+    mi.set_variant(variant)
+    bsdf, ctx = load(libraries["hybrid"]), mi.BSDFContext()
+    for i in range(5):
+        spectrum = []
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = mi.Vector3f(view[:, i])
+        for wavelengths in [*grid[:-1].reshape(-1, 4), grid[-4:]]:
+            si.wavelengths = mi.Spectrum([float(x) for x in wavelengths])
+            spectrum.append(np.array(bsdf.eval(ctx, si, mi.Vector3f(light[:, i]))).ravel() / light[2, i])
+        spectrum = np.concatenate([*spectrum[:-1], spectrum[-1][-1:]])
+        assert np.allclose(srgb @ spectrum, rgb[:, i], rtol=1e-3)
+        assert rgb[:, i].min() * 0.999 <= spectrum.min() and spectrum.max() <= rgb[:, i].max() * 1.001
+
+
 def test_polarized_variants_depolarize(libraries):
     light, view = hemisphere(100, 8), hemisphere(100, 9)
     mi.set_variant("llvm_ad_mono")

@@ -19,7 +19,16 @@ from mitsuba_common import (
     write_libraries,
 )
 
-VARIANTS = ["scalar_rgb", "llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_mono_polarized"]
+VARIANTS = [
+    "scalar_rgb",
+    "scalar_spectral",
+    "scalar_spectral_polarized",
+    "llvm_ad_rgb",
+    "llvm_ad_mono",
+    "llvm_ad_mono_polarized",
+    "llvm_ad_spectral",
+    "llvm_ad_spectral_polarized",
+]
 
 
 @pytest.fixture(scope="module")

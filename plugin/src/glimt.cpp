@@ -8,6 +8,7 @@
 
 #include "kernel_call.h"
 #include "lobes.h"
+#include "primaries.h"
 #include "traced.h"
 
 // Without -march=haswell everything compiles, loads and computes garbage: the layout of structs differs.
@@ -66,7 +67,10 @@ The material is one-sided; the ``twosided`` plugin makes it two-sided. It has on
 glossy. Samples come from a mixture of a cosine lobe and a GGX lobe, whose density is known exactly.
 
 **Colour.** A fit knows linear sRGB only. RGB variants use it as it is, monochromatic variants its
-luminance. Spectral variants report an error. Polarized variants depolarize.
+luminance. Spectral variants upsample it, :math:`f(\lambda) = r R(\lambda) + g G(\lambda) + b B(\lambda)`
+with the smooth reflectance spectra of the sRGB primaries after Mallett and Yuksel 2019: under D65 the
+colour is that of the RGB variants, under other lights it is one of many that would be as right.
+Polarized variants depolarize.
 
 **Speed and derivatives.** The reflectance is computed by the Rust core: directly in scalar variants,
 and by a call from inside the compiled kernel in LLVM variants. Where a direction or a parameter has
@@ -98,10 +102,6 @@ public:
     MI_IMPORT_TYPES()
 
     Glimt(const Properties &props) : Base(props) {
-        if constexpr (is_spectral_v<Spectrum>)
-            Throw("glimt: a fit knows linear sRGB only, and the variant \"%s\" renders spectra. Use an "
-                  "RGB or a monochromatic variant (scalar_rgb, llvm_ad_rgb, llvm_ad_mono, …).",
-                  Base::Variant);
         if constexpr (dr::is_llvm_v<Float>)
             require_llvm();
 
@@ -167,7 +167,8 @@ public:
             bs.pdf = dr::select(active, m_lobes.pdf(bs.wo, si.wi), 0.f);
             weight = reflectance(ctx, si.wi, bs.wo, active) * (Frame3f::cos_theta(bs.wo) / bs.pdf);
         }
-        return { bs, depolarizer<Spectrum>(spectrum(weight)) & (active && bs.pdf > 0.f) };
+        active &= bs.pdf > 0.f;
+        return { bs, depolarizer<Spectrum>(spectrum(weight, si, active)) & active };
     }
 
     Spectrum eval(const BSDFContext &ctx, const SurfaceInteraction3f &si, const Vector3f &wo,
@@ -197,7 +198,10 @@ public:
                 << "  alpha = " << m_alpha << "," << std::endl;
         if (dr::width(m_latent) > 0)
             oss << "  latent = " << m_latent << "," << std::endl;
-        oss << "  evaluation = " << (calls_from_kernel() ? "in-kernel call" : dr::is_jit_v<Float> ? "traced" : "direct call") << std::endl
+        const char *way = calls_from_kernel()   ? "in-kernel call"
+                          : dr::is_jit_v<Float> ? "traced"
+                                                : "direct call";
+        oss << "  evaluation = " << way << std::endl
             << "]";
         return oss.str();
     }
@@ -209,8 +213,8 @@ private:
     using FloatStorage = DynamicBuffer<Float>;
     static constexpr bool HasKernelCall = dr::is_llvm_v<Float>;
     struct Nothing { };
-    /// The oldest LLVM with which Dr.Jit 1.5 renders.
-    static constexpr int MinLLVMVersion = 16;
+    /// Dr.Jit 1.5 aborts with LLVM 15 and 16 ("Cannot select: fmaximum") and works with 19.
+    static constexpr int MinLLVMVersion = 17;
 
     // ----- Construction and edits -----
 
@@ -370,9 +374,10 @@ private:
 
         Spectrum value(0.f);
         Float density(0.f);
-        if constexpr (Eval)
-            value = depolarizer<Spectrum>(
-                        spectrum(reflectance(ctx, si.wi, wo, active) * cos_theta_o)) & active;
+        if constexpr (Eval) {
+            Color3f rgb = reflectance(ctx, si.wi, wo, active) * cos_theta_o;
+            value = depolarizer<Spectrum>(spectrum(rgb, si, active)) & active;
+        }
         if constexpr (Pdf) {
             if constexpr (dr::is_jit_v<Float>)
                 density = dr::select(active, m_lobes.pdf(wo, si.wi), 0.f);
@@ -406,13 +411,15 @@ private:
     }
 
     /// The variant's kind of colour.
-    static UnpolarizedSpectrum spectrum(const Color3f &rgb) {
+    UnpolarizedSpectrum spectrum(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
+        DRJIT_MARK_USED(si);
+        DRJIT_MARK_USED(active);
         if constexpr (is_monochromatic_v<Spectrum>)
             return luminance(rgb);
-        else if constexpr (is_rgb_v<Spectrum>)
-            return rgb;
+        else if constexpr (is_spectral_v<Spectrum>)
+            return m_primaries.template upsample<UnpolarizedSpectrum>(rgb, si.wavelengths, active);
         else
-            return 0.f;
+            return rgb;
     }
 
     static std::array<float, 3> array(const Vector3f &w) { return { w.x(), w.y(), w.z() }; }
@@ -428,6 +435,7 @@ private:
     glimt::TracedLobes<Float> m_lobes;
     std::conditional_t<HasKernelCall, glimt::KernelCall<Float>, Nothing> m_call;
     bool m_call_works = false;
+    std::conditional_t<is_spectral_v<Spectrum>, glimt::Primaries<Float>, Nothing> m_primaries;
 
     Color3f m_kd, m_eta;
     Vector2f m_alpha;
@@ -437,12 +445,5 @@ private:
     MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes.alpha, m_lobes.specular_weight)
 };
 
-#ifdef QUICK
-#undef MI_REGISTER_PLUGIN
-#define MI_REGISTER_PLUGIN(cb, id, Name)                                        \
-    cb(id, "scalar_rgb", Name<float, Color<float, 3>>::Type, [](void *, const Properties &p) -> ref<Object> { return new Name<float, Color<float, 3>>(p); }); \
-    cb(id, "llvm_ad_mono", Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 1>>::Type, [](void *, const Properties &p) -> ref<Object> { return new Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 1>>(p); }); \
-    cb(id, "llvm_ad_rgb", Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 3>>::Type, [](void *, const Properties &p) -> ref<Object> { return new Name<dr::DiffArray<JitBackend::LLVM, float>, Color<dr::DiffArray<JitBackend::LLVM, float>, 3>>(p); });
-#endif
 MI_EXPORT_PLUGIN(Glimt)
 NAMESPACE_END(mitsuba)
