@@ -52,7 +52,7 @@ impl Brdf for Ggx {
 }
 
 dispatch! {
-    fn eval_tile<I>(microfacet: &Microfacet, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+    fn eval_tile(_isa, microfacet: &Microfacet, light: &Lane3, view: &Lane3, out: &mut Lane3) {
         microfacet.eval_lanes(light, view, out);
     }
 }

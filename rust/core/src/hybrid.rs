@@ -108,7 +108,7 @@ pub struct Hybrid {
     latent: Vec<f32>,
     bound: f32,
     /// The latent code folded into the network's first bias.
-    first_bias: Vec<f32>,
+    first_bias: Vec<Lane>,
     lobes: Lobes,
 }
 
@@ -208,7 +208,7 @@ impl Brdf for Hybrid {
 }
 
 dispatch! {
-    fn eval_one<I>(material: &Hybrid, light: Vec3, view: Vec3, f: &mut Vec3) {
+    fn eval_one(isa, material: &Hybrid, light: Vec3, view: Vec3, f: &mut Vec3) {
         let (light, view) = (light.to_array(), view.to_array());
         let analytic = material.microfacet.eval(light, view);
         let mut x = [0.0; MAX_FEATURES + 3];
@@ -219,7 +219,7 @@ dispatch! {
             }
         }
         let mut y = [0.0; MAX_WIDTH];
-        material.network.forward_one::<I>(&material.first_bias, &x, &mut y);
+        material.network.forward_one(isa, &material.first_bias, &x, &mut y);
         *f = Vec3::from_array([0, 1, 2].map(|c| {
             material.form.composition.compose(y[c], y[c + 3], analytic[c], material.bound)
         }));
@@ -227,12 +227,12 @@ dispatch! {
 }
 
 dispatch! {
-    fn eval_tile<I>(material: &Hybrid, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+    fn eval_tile(isa, material: &Hybrid, light: &Lane3, view: &Lane3, out: &mut Lane3) {
         let mut x = [[0.0; LANES]; MAX_FEATURES + 3];
         material.microfacet.eval_lanes(light, view, out);
         features_lanes(material.form, material.microfacet.alpha, light, view, out, &mut x);
         let mut y = [[0.0; LANES]; MAX_WIDTH];
-        material.network.forward_tile::<I>(&material.first_bias, &x, &mut y);
+        material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
         for (c, f) in out.iter_mut().enumerate() {
             for lane in 0..LANES {
                 f[lane] = material.form.composition.compose(y[c][lane], y[c + 3][lane], f[lane], material.bound);

@@ -14,7 +14,7 @@ use crate::dispatch;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::network::{MAX_WIDTH, Network};
-use crate::simd::{LANES, Lane3};
+use crate::simd::{LANES, Lane, Lane3};
 
 /// Network inputs: h and d.
 pub const FEATURES: usize = 6;
@@ -28,7 +28,7 @@ const MAX_OUTPUT: f32 = 20.7;
 #[derive(Clone, Debug)]
 pub struct Nbrdf {
     network: Arc<Network>,
-    first_bias: Vec<f32>,
+    first_bias: Vec<Lane>,
     lobes: Lobes,
 }
 
@@ -81,16 +81,16 @@ impl Brdf for Nbrdf {
 }
 
 dispatch! {
-    fn eval_one<I>(material: &Nbrdf, light: Vec3, view: Vec3, f: &mut Vec3) {
+    fn eval_one(isa, material: &Nbrdf, light: Vec3, view: Vec3, f: &mut Vec3) {
         let mut y = [0.0; MAX_WIDTH];
         let x = half_difference(light.to_array(), view.to_array());
-        material.network.forward_one::<I>(&material.first_bias, &x, &mut y);
+        material.network.forward_one(isa, &material.first_bias, &x, &mut y);
         *f = Vec3::new(radiance(y[0]), radiance(y[1]), radiance(y[2]));
     }
 }
 
 dispatch! {
-    fn eval_tile<I>(material: &Nbrdf, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+    fn eval_tile(isa, material: &Nbrdf, light: &Lane3, view: &Lane3, out: &mut Lane3) {
         let mut x = [[0.0; LANES]; FEATURES];
         for lane in 0..LANES {
             let features = half_difference(
@@ -102,7 +102,7 @@ dispatch! {
             }
         }
         let mut y = [[0.0; LANES]; MAX_WIDTH];
-        material.network.forward_tile::<I>(&material.first_bias, &x, &mut y);
+        material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
         for (out, y) in out.iter_mut().zip(&y) {
             for lane in 0..LANES {
                 out[lane] = radiance(y[lane]);

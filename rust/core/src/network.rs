@@ -9,8 +9,11 @@ use crate::simd::{Isa, LANES, Lane};
 /// Widest layer that the kernels hold on the stack.
 pub const MAX_WIDTH: usize = 64;
 
-/// Neurons are padded to a multiple of this, the most rows that a kernel takes at once.
+/// Neurons are padded to a multiple of this in the tile kernel, the most rows it takes at once, …
 const ROW_BLOCK: usize = 8;
+
+/// … and to a multiple of [`LANES`] in the single kernel.
+const MAX_VECTORS: usize = MAX_WIDTH / LANES;
 
 /// One affine layer, y = W x + b.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,108 +90,134 @@ struct PackedLayer {
     /// Outputs, padded to a multiple of [`ROW_BLOCK`].
     rows: usize,
     /// [rows/4][inputs][4]: what the tile kernel broadcasts, four rows at a time.
-    by_rows: Vec<f32>,
-    /// [inputs][rows]: what the single kernel loads, all rows at once.
-    by_columns: Vec<f32>,
-    /// [rows].
-    bias: Vec<f32>,
+    by_rows: Vec<[f32; 4]>,
+    /// [inputs][vectors]: what the single kernel loads, [`LANES`] rows at a time.
+    by_columns: Vec<Lane>,
+    /// [vectors].
+    bias: Vec<Lane>,
 }
 
 impl PackedLayer {
     /// Packs the columns `first..first + inputs` of `layer`.
     fn new(layer: &Layer, first: usize, inputs: usize) -> Self {
         let rows = layer.outputs().next_multiple_of(ROW_BLOCK);
-        let mut by_rows = vec![0.0; rows * inputs];
-        let mut by_columns = vec![0.0; rows * inputs];
+        let vectors = layer.outputs().div_ceil(LANES);
+        let mut by_rows = vec![[0.0; 4]; rows / 4 * inputs];
+        let mut by_columns = vec![[0.0; LANES]; vectors * inputs];
+        let mut bias = vec![[0.0; LANES]; vectors];
         for row in 0..layer.outputs() {
+            bias[row / LANES][row % LANES] = layer.bias[row];
             for column in 0..inputs {
                 let w = layer.weight[row * layer.inputs() + first + column];
-                by_rows[((row / 4) * inputs + column) * 4 + row % 4] = w;
-                by_columns[column * rows + row] = w;
+                by_rows[row / 4 * inputs + column][row % 4] = w;
+                by_columns[column * vectors + row / LANES][row % LANES] = w;
             }
         }
-        let mut bias = layer.bias.clone();
-        bias.resize(rows, 0.0);
         PackedLayer { inputs, rows, by_rows, by_columns, bias }
     }
 
     /// y = activation(W x + bias) for [`LANES`] samples, with `bias` in place of the layer's own.
     #[inline(always)]
-    fn forward_tile<I: Isa>(&self, bias: &[f32], x: &[Lane], y: &mut [Lane], activation: Option<Activation>) {
-        // `ROWS` is 4 or 8: the two shapes of the same loop nest, with accumulators in registers.
+    fn forward_tile<I: Isa>(
+        &self,
+        isa: I,
+        bias: &[Lane],
+        x: &[Lane],
+        y: &mut [Lane; MAX_WIDTH],
+        activation: Option<Activation>,
+    ) {
+        // The two shapes of the same loop nest, with all accumulators in registers.
         if I::ROWS == 8 {
-            self.forward_rows::<I, 8>(bias, x, y, activation);
+            self.forward_rows::<I, 8, 2>(isa, bias, x, y, activation);
         } else {
-            self.forward_rows::<I, 4>(bias, x, y, activation);
+            self.forward_rows::<I, 4, 1>(isa, bias, x, y, activation);
         }
     }
 
+    /// [`PackedLayer::forward_tile`], `ROWS` = 4 `GROUPS` rows at a time.
     #[inline(always)]
-    fn forward_rows<I: Isa, const ROWS: usize>(
+    fn forward_rows<I: Isa, const ROWS: usize, const GROUPS: usize>(
         &self,
-        bias: &[f32],
+        isa: I,
+        bias: &[Lane],
         x: &[Lane],
-        y: &mut [Lane],
+        y: &mut [Lane; MAX_WIDTH],
         activation: Option<Activation>,
     ) {
         let x = &x[..self.inputs];
         for row in (0..self.rows).step_by(ROWS) {
-            let mut sums = [[0.0; LANES]; ROWS];
-            for (sum, &b) in sums.iter_mut().zip(&bias[row..row + ROWS]) {
-                *sum = [b; LANES];
+            let mut sums = [isa.splat(0.0); ROWS];
+            for r in 0..ROWS {
+                sums[r] = isa.splat(bias[(row + r) / LANES][(row + r) % LANES]);
             }
-            let weights = &self.by_rows[row * self.inputs..(row + ROWS) * self.inputs];
+            let weights = &self.by_rows[row / 4 * self.inputs..][..GROUPS * self.inputs];
             for (column, x) in x.iter().enumerate() {
-                for r in 0..ROWS {
-                    let w = weights[((r / 4) * self.inputs + column) * 4 + r % 4];
-                    for lane in 0..LANES {
-                        sums[r][lane] = I::fma(w, x[lane], sums[r][lane]);
+                let x = isa.load(x);
+                for group in 0..GROUPS {
+                    let w = weights[group * self.inputs + column];
+                    for r in 0..4 {
+                        sums[4 * group + r] = isa.fma(isa.splat(w[r]), x, sums[4 * group + r]);
                     }
                 }
             }
-            for (y, sum) in y[row..row + ROWS].iter_mut().zip(&sums) {
-                for lane in 0..LANES {
-                    y[lane] = activation.map_or(sum[lane], |a| a.value(sum[lane]));
-                }
-            }
-        }
-    }
-
-    /// y = activation(W x + bias) for one sample.
-    #[inline(always)]
-    fn forward_one<I: Isa>(&self, bias: &[f32], x: &[f32], y: &mut [f32], activation: Option<Activation>) {
-        let mut row = 0;
-        while row < self.rows {
-            // As many rows as the layer still has, in the chunks that registers hold.
-            row += match self.rows - row {
-                32.. => self.forward_chunk::<I, 32>(row, bias, x, y, activation),
-                16..32 => self.forward_chunk::<I, 16>(row, bias, x, y, activation),
-                _ => self.forward_chunk::<I, 8>(row, bias, x, y, activation),
-            };
-        }
-    }
-
-    #[inline(always)]
-    fn forward_chunk<I: Isa, const ROWS: usize>(
-        &self,
-        row: usize,
-        bias: &[f32],
-        x: &[f32],
-        y: &mut [f32],
-        activation: Option<Activation>,
-    ) -> usize {
-        let mut sums = [0.0; ROWS];
-        sums.copy_from_slice(&bias[row..row + ROWS]);
-        for (column, &x) in x[..self.inputs].iter().enumerate() {
-            let weights = &self.by_columns[column * self.rows + row..][..ROWS];
             for r in 0..ROWS {
-                sums[r] = I::fma(weights[r], x, sums[r]);
+                store_activated(isa, sums[r], activation, &mut y[row + r]);
             }
         }
-        for (y, &sum) in y[row..row + ROWS].iter_mut().zip(&sums) {
-            *y = activation.map_or(sum, |a| a.value(sum));
+    }
+
+    /// y = activation(W x + bias) for one sample; `y` has a whole number of vectors.
+    #[inline(always)]
+    fn forward_one<I: Isa>(
+        &self,
+        isa: I,
+        bias: &[Lane],
+        x: &[f32],
+        y: &mut [Lane; MAX_VECTORS],
+        activation: Option<Activation>,
+    ) {
+        // All of the layer's accumulators at once, for as many as it has.
+        match self.bias.len() {
+            1 => self.forward_vectors::<I, 1>(isa, bias, x, y, activation),
+            2 => self.forward_vectors::<I, 2>(isa, bias, x, y, activation),
+            3 => self.forward_vectors::<I, 3>(isa, bias, x, y, activation),
+            _ => self.forward_vectors::<I, MAX_VECTORS>(isa, bias, x, y, activation),
         }
-        ROWS
+    }
+
+    #[inline(always)]
+    fn forward_vectors<I: Isa, const VECTORS: usize>(
+        &self,
+        isa: I,
+        bias: &[Lane],
+        x: &[f32],
+        y: &mut [Lane; MAX_VECTORS],
+        activation: Option<Activation>,
+    ) {
+        let mut sums = [isa.splat(0.0); VECTORS];
+        for v in 0..VECTORS {
+            sums[v] = isa.load(&bias[v]);
+        }
+        let (columns, _) = self.by_columns.as_chunks::<VECTORS>();
+        for (weights, &x) in columns.iter().zip(&x[..self.inputs]) {
+            let x = isa.splat(x);
+            for v in 0..VECTORS {
+                sums[v] = isa.fma(isa.load(&weights[v]), x, sums[v]);
+            }
+        }
+        for v in 0..VECTORS {
+            store_activated(isa, sums[v], activation, &mut y[v]);
+        }
+    }
+}
+
+#[inline(always)]
+fn store_activated<I: Isa>(isa: I, sum: I::Vector, activation: Option<Activation>, to: &mut Lane) {
+    isa.store(sum, to);
+    if let Some(activation) = activation {
+        for lane in 0..LANES {
+            to[lane] = activation.value(to[lane]);
+        }
     }
 }
 
@@ -290,17 +319,18 @@ impl Network {
             .sum()
     }
 
-    /// The first layer's bias with the latent code's part added, padded as the kernels want it.
+    /// The first layer's bias with the latent code's part added, in the order of the kernels.
     ///
     /// # Panics
     /// If `latent` is shorter than [`Network::latent`].
     #[must_use]
-    pub fn fold(&self, latent: &[f32]) -> Vec<f32> {
+    pub fn fold(&self, latent: &[f32]) -> Vec<Lane> {
         let first = &self.layers[0];
         let mut bias = self.packed[0].bias.clone();
-        for (bias, row) in bias.iter_mut().zip(first.weight.chunks_exact(first.inputs())) {
-            let part: f64 =
-                row[self.features..].iter().zip(latent).map(|(&w, &z)| f64::from(w) * f64::from(z)).sum();
+        for (row, weights) in first.weight.chunks_exact(first.inputs()).enumerate() {
+            let weights = &weights[self.features..];
+            let part: f64 = weights.iter().zip(latent).map(|(&w, &z)| f64::from(w) * f64::from(z)).sum();
+            let bias = &mut bias[row / LANES][row % LANES];
             *bias = (f64::from(*bias) + part) as f32;
         }
         bias
@@ -309,7 +339,7 @@ impl Network {
     /// Evaluates [`LANES`] samples: `x[feature][lane]` to `y[output][lane]`, `first_bias` from
     /// [`Network::fold`]. `y` beyond [`Network::outputs`] is overwritten too.
     #[inline(always)]
-    pub fn forward_tile<I: Isa>(&self, first_bias: &[f32], x: &[Lane], y: &mut [Lane; MAX_WIDTH]) {
+    pub fn forward_tile<I: Isa>(&self, isa: I, first_bias: &[Lane], x: &[Lane], y: &mut [Lane; MAX_WIDTH]) {
         let last = self.packed.len() - 1;
         let mut hidden = [[[0.0; LANES]; MAX_WIDTH]; 2];
         let [mut from, mut to] = {
@@ -320,9 +350,9 @@ impl Network {
             let bias = if i == 0 { first_bias } else { &layer.bias };
             let x = if i == 0 { x } else { &from[..] };
             if i == last {
-                layer.forward_tile::<I>(bias, x, y, None);
+                layer.forward_tile(isa, bias, x, y, None);
             } else {
-                layer.forward_tile::<I>(bias, x, to, Some(self.activation));
+                layer.forward_tile(isa, bias, x, to, Some(self.activation));
                 std::mem::swap(&mut from, &mut to);
             }
         }
@@ -330,23 +360,21 @@ impl Network {
 
     /// Evaluates one sample: `x[feature]` to `y[output]`, otherwise as [`Network::forward_tile`].
     #[inline(always)]
-    pub fn forward_one<I: Isa>(&self, first_bias: &[f32], x: &[f32], y: &mut [f32; MAX_WIDTH]) {
+    pub fn forward_one<I: Isa>(&self, isa: I, first_bias: &[Lane], x: &[f32], y: &mut [f32; MAX_WIDTH]) {
         let last = self.packed.len() - 1;
-        let mut hidden = [[0.0; MAX_WIDTH]; 2];
+        let mut hidden = [[[0.0; LANES]; MAX_VECTORS]; 2];
         let [mut from, mut to] = {
             let [a, b] = &mut hidden;
             [a, b]
         };
         for (i, layer) in self.packed.iter().enumerate() {
             let bias = if i == 0 { first_bias } else { &layer.bias };
-            let x = if i == 0 { x } else { &from[..] };
-            if i == last {
-                layer.forward_one::<I>(bias, x, y, None);
-            } else {
-                layer.forward_one::<I>(bias, x, to, Some(self.activation));
-                std::mem::swap(&mut from, &mut to);
-            }
+            let x = if i == 0 { x } else { from.as_flattened() };
+            let activation = (i < last).then_some(self.activation);
+            layer.forward_one(isa, bias, x, to, activation);
+            std::mem::swap(&mut from, &mut to);
         }
+        y.copy_from_slice(from.as_flattened());
     }
 }
 
@@ -406,13 +434,13 @@ pub(crate) mod tests {
     }
 
     crate::dispatch! {
-        fn forward_tile<I>(n: &Network, bias: &[f32], x: &[Lane], y: &mut [Lane; MAX_WIDTH]) {
-            n.forward_tile::<I>(bias, x, y);
+        fn forward_tile(isa, n: &Network, bias: &[Lane], x: &[Lane], y: &mut [Lane; MAX_WIDTH]) {
+            n.forward_tile(isa, bias, x, y);
         }
     }
     crate::dispatch! {
-        fn forward_one<I>(n: &Network, bias: &[f32], x: &[f32], y: &mut [f32; MAX_WIDTH]) {
-            n.forward_one::<I>(bias, x, y);
+        fn forward_one(isa, n: &Network, bias: &[Lane], x: &[f32], y: &mut [f32; MAX_WIDTH]) {
+            n.forward_one(isa, bias, x, y);
         }
     }
 

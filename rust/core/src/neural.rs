@@ -17,7 +17,7 @@ use crate::dispatch;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::network::{Layer, MAX_WIDTH, Network};
-use crate::simd::{LANES, Lane3};
+use crate::simd::{LANES, Lane, Lane3};
 
 /// Learned frames.
 pub const FRAMES: usize = 3;
@@ -43,7 +43,7 @@ pub struct Neural {
     bound: f32,
     /// ψ with this material's frames and latent code folded into its first layer.
     network: Network,
-    first_bias: Vec<f32>,
+    first_bias: Vec<Lane>,
     lobes: Lobes,
 }
 
@@ -150,8 +150,7 @@ fn fold_frames(shared: &Shared, latent: &[f32]) -> Result<Network, String> {
         }
         weight.extend(folded.iter().flat_map(|v| v.to_array()));
     }
-    let mut bias = shared.network.fold(latent);
-    bias.truncate(first.outputs());
+    let bias = shared.network.fold(latent).as_flattened()[..first.outputs()].to_vec();
     let mut layers = vec![Layer { weight, bias }];
     layers.extend_from_slice(&shared.network.layers()[1..]);
     Network::new(layers, 6, shared.network.activation())
@@ -173,19 +172,19 @@ impl Brdf for Neural {
 }
 
 dispatch! {
-    fn eval_one<I>(material: &Neural, light: Vec3, view: Vec3, f: &mut Vec3) {
+    fn eval_one(isa, material: &Neural, light: Vec3, view: Vec3, f: &mut Vec3) {
         let mut y = [0.0; MAX_WIDTH];
         let x = [light.x, light.y, light.z, view.x, view.y, view.z];
-        material.network.forward_one::<I>(&material.first_bias, &x, &mut y);
+        material.network.forward_one(isa, &material.first_bias, &x, &mut y);
         *f = Vec3::from_array([0, 1, 2].map(|c| bounded_exp(y[c], material.bound)));
     }
 }
 
 dispatch! {
-    fn eval_tile<I>(material: &Neural, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+    fn eval_tile(isa, material: &Neural, light: &Lane3, view: &Lane3, out: &mut Lane3) {
         let x = [light[0], light[1], light[2], view[0], view[1], view[2]];
         let mut y = [[0.0; LANES]; MAX_WIDTH];
-        material.network.forward_tile::<I>(&material.first_bias, &x, &mut y);
+        material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
         for (out, y) in out.iter_mut().zip(&y) {
             for lane in 0..LANES {
                 out[lane] = bounded_exp(y[lane], material.bound);

@@ -116,6 +116,8 @@ pub struct Workspace {
     /// Derivatives of the loss with respect to a layer's sums, and to its inputs.
     delta: Vec<Row>,
     next_delta: Vec<Row>,
+    /// A layer's weights, [inputs][outputs].
+    transposed: Vec<f32>,
 }
 
 impl Workspace {
@@ -129,6 +131,7 @@ impl Workspace {
             sums: hidden.iter().map(|&size| vec![ZERO_ROW; size]).collect(),
             delta: vec![ZERO_ROW; widest],
             next_delta: vec![ZERO_ROW; widest],
+            transposed: vec![0.0; widest * widest],
         }
     }
 
@@ -153,17 +156,22 @@ impl Workspace {
 
 dispatch! {
     /// Computes all layers from `workspace.values[0]`.
-    pub fn forward<I>(shape: &Shape, numbers: &[f32], workspace: &mut Workspace) {
+    pub fn forward(isa, shape: &Shape, numbers: &[f32], workspace: &mut Workspace) {
         for layer in 0..shape.layers() {
-            let (inputs, _) = shape.layer(layer);
+            let (inputs, outputs) = shape.layer(layer);
             let (weight, bias) = shape.split(numbers, layer);
+            let matrix = &mut workspace.transposed[..weight.len()];
+            for (o, row) in weight.chunks_exact(inputs).enumerate() {
+                for (i, &w) in row.iter().enumerate() {
+                    matrix[i * outputs + o] = w;
+                }
+            }
             let (before, after) = workspace.values.split_at_mut(layer + 1);
             let (x, y) = (&before[layer], &mut after[0]);
-            let matrix = Matrix { numbers: weight, row: inputs, column: 1 };
             match workspace.sums.get_mut(layer) {
-                None => product::<I>(matrix, Some(bias), x, y),
+                None => product(isa, matrix, Some(bias), x, y),
                 Some(sums) => {
-                    product::<I>(matrix, Some(bias), x, sums);
+                    product(isa, matrix, Some(bias), x, sums);
                     for (y, sum) in y.iter_mut().zip(&*sums) {
                         for (y, sum) in y.iter_mut().zip(sum) {
                             for lane in 0..LANES {
@@ -180,7 +188,7 @@ dispatch! {
 dispatch! {
     /// From `workspace.output_delta()`, adds the derivatives of all numbers to `gradient` and leaves
     /// those of the inputs in `workspace.input_delta()`. [`forward`] comes first.
-    pub fn backward<I>(shape: &Shape, numbers: &[f32], workspace: &mut Workspace, gradient: &mut [f32]) {
+    pub fn backward(isa, shape: &Shape, numbers: &[f32], workspace: &mut Workspace, gradient: &mut [f32]) {
         for layer in (0..shape.layers()).rev() {
             let (inputs, outputs) = shape.layer(layer);
             let delta = &mut workspace.delta[..outputs];
@@ -194,67 +202,57 @@ dispatch! {
                 }
             }
             let (weight_gradient, bias_gradient) = shape.split_mut(gradient, layer);
-            outer_product::<I>(delta, &workspace.values[layer], weight_gradient);
+            outer_product(isa, delta, &workspace.values[layer], weight_gradient);
             for (gradient, delta) in bias_gradient.iter_mut().zip(&*delta) {
-                *gradient += delta.iter().flatten().sum::<f32>();
+                *gradient += sum_row(delta);
             }
             let (weight, _) = shape.split(numbers, layer);
-            let transposed = Matrix { numbers: weight, row: 1, column: inputs };
-            product::<I>(transposed, None, delta, &mut workspace.next_delta[..inputs]);
+            product(isa, weight, None, delta, &mut workspace.next_delta[..inputs]);
             std::mem::swap(&mut workspace.delta, &mut workspace.next_delta);
         }
     }
 }
 
-/// A matrix, or its transpose, by the steps from one row and one column to the next.
-#[derive(Clone, Copy)]
-struct Matrix<'a> {
-    numbers: &'a [f32],
-    row: usize,
-    column: usize,
-}
-
-/// y = M x + bias for a block.
+/// y = Mᵀ x + bias for a block, with M as [x.len()][y.len()].
 #[inline(always)]
-fn product<I: Isa>(matrix: Matrix, bias: Option<&[f32]>, x: &[Row], y: &mut [Row]) {
+fn product<I: Isa>(isa: I, matrix: &[f32], bias: Option<&[f32]>, x: &[Row], y: &mut [Row]) {
     let mut row = 0;
     while row < y.len() {
         // Eight rows at a time where the registers hold them, and the rest in smaller steps.
         row += match y.len() - row {
-            8.. if I::ROWS == 8 => product_rows::<I, 8>(matrix, bias, x, y, row),
-            4.. => product_rows::<I, 4>(matrix, bias, x, y, row),
-            2.. => product_rows::<I, 2>(matrix, bias, x, y, row),
-            _ => product_rows::<I, 1>(matrix, bias, x, y, row),
+            8.. if I::ROWS == 8 => product_rows::<I, 8>(isa, matrix, bias, x, y, row),
+            4.. => product_rows::<I, 4>(isa, matrix, bias, x, y, row),
+            2.. => product_rows::<I, 2>(isa, matrix, bias, x, y, row),
+            _ => product_rows::<I, 1>(isa, matrix, bias, x, y, row),
         };
     }
 }
 
 #[inline(always)]
 fn product_rows<I: Isa, const ROWS: usize>(
-    matrix: Matrix,
+    isa: I,
+    matrix: &[f32],
     bias: Option<&[f32]>,
     x: &[Row],
     y: &mut [Row],
     row: usize,
 ) -> usize {
+    let stride = y.len();
     for column in 0..COLUMNS {
-        let mut sums = [[0.0; LANES]; ROWS];
+        let mut sums = [isa.splat(0.0); ROWS];
         if let Some(bias) = bias {
             for r in 0..ROWS {
-                sums[r] = [bias[row + r]; LANES];
+                sums[r] = isa.splat(bias[row + r]);
             }
         }
-        for (k, x) in x.iter().enumerate() {
-            let x = &x[column];
+        for (x, weights) in x.iter().zip(matrix.chunks_exact(stride)) {
+            let (x, weights) = (isa.load(&x[column]), &weights[row..row + ROWS]);
             for r in 0..ROWS {
-                let w = matrix.numbers[(row + r) * matrix.row + k * matrix.column];
-                for lane in 0..LANES {
-                    sums[r][lane] = I::fma(w, x[lane], sums[r][lane]);
-                }
+                sums[r] = isa.fma(isa.splat(weights[r]), x, sums[r]);
             }
         }
         for r in 0..ROWS {
-            y[row + r][column] = sums[r];
+            isa.store(sums[r], &mut y[row + r][column]);
         }
     }
     ROWS
@@ -262,7 +260,7 @@ fn product_rows<I: Isa, const ROWS: usize>(
 
 /// `gradient[o][i]` += Σ over the block of `delta[o]` · `x[i]`.
 #[inline(always)]
-fn outer_product<I: Isa>(delta: &[Row], x: &[Row], gradient: &mut [f32]) {
+fn outer_product<I: Isa>(isa: I, delta: &[Row], x: &[Row], gradient: &mut [f32]) {
     let inputs = x.len();
     let mut o = 0;
     while o < delta.len() {
@@ -270,11 +268,11 @@ fn outer_product<I: Isa>(delta: &[Row], x: &[Row], gradient: &mut [f32]) {
         let mut i = 0;
         while i < inputs {
             i += match (rows, inputs - i) {
-                (4, 4..) if I::ROWS == 8 => dot_products::<I, 4, 4>(delta, x, gradient, o, i),
-                (4, 2..) => dot_products::<I, 4, 2>(delta, x, gradient, o, i),
-                (4, _) => dot_products::<I, 4, 1>(delta, x, gradient, o, i),
-                (_, 4..) => dot_products::<I, 1, 4>(delta, x, gradient, o, i),
-                _ => dot_products::<I, 1, 1>(delta, x, gradient, o, i),
+                (4, 4..) if I::ROWS == 8 => dot_products::<I, 4, 4>(isa, delta, x, gradient, o, i),
+                (4, 2..) => dot_products::<I, 4, 2>(isa, delta, x, gradient, o, i),
+                (4, _) => dot_products::<I, 4, 1>(isa, delta, x, gradient, o, i),
+                (_, 4..) => dot_products::<I, 1, 4>(isa, delta, x, gradient, o, i),
+                _ => dot_products::<I, 1, 1>(isa, delta, x, gradient, o, i),
             };
         }
         o += rows;
@@ -283,29 +281,45 @@ fn outer_product<I: Isa>(delta: &[Row], x: &[Row], gradient: &mut [f32]) {
 
 #[inline(always)]
 fn dot_products<I: Isa, const O: usize, const N: usize>(
+    isa: I,
     delta: &[Row],
     x: &[Row],
     gradient: &mut [f32],
     o: usize,
     i: usize,
 ) -> usize {
-    let mut sums = [[[0.0; LANES]; N]; O];
+    let delta: [&Row; O] = std::array::from_fn(|a| &delta[o + a]);
+    let rows: [&Row; N] = std::array::from_fn(|b| &x[i + b]);
+    let mut sums = [[isa.splat(0.0); N]; O];
     for column in 0..COLUMNS {
         for a in 0..O {
+            let delta = isa.load(&delta[a][column]);
             for b in 0..N {
-                for lane in 0..LANES {
-                    sums[a][b][lane] =
-                        I::fma(delta[o + a][column][lane], x[i + b][column][lane], sums[a][b][lane]);
-                }
+                sums[a][b] = isa.fma(delta, isa.load(&rows[b][column]), sums[a][b]);
             }
         }
     }
     for a in 0..O {
         for b in 0..N {
-            gradient[(o + a) * x.len() + i + b] += sum_lanes(sums[a][b]);
+            let mut sum = [0.0; LANES];
+            isa.store(sums[a][b], &mut sum);
+            gradient[(o + a) * x.len() + i + b] += sum_lanes(sum);
         }
     }
     N
+}
+
+/// Sum over the samples of a block.
+#[inline(always)]
+#[must_use]
+pub fn sum_row(row: &Row) -> f32 {
+    let mut sum = [0.0; LANES];
+    for column in row {
+        for lane in 0..LANES {
+            sum[lane] += column[lane];
+        }
+    }
+    sum_lanes(sum)
 }
 
 /// Sum over the lanes, by halves: few instructions, and an order that does not depend on them.

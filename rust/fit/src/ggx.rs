@@ -47,7 +47,7 @@ pub(crate) fn direction(rows: &[Row; 3], column: usize, lane: usize) -> [f32; 3]
 
 dispatch! {
     /// Evaluates `parameters` for a block.
-    pub fn evaluate<I>(parameters: &Microfacet, pairs: &PairBlock, rows: &mut AnalyticRows) {
+    pub fn evaluate(_isa, parameters: &Microfacet, pairs: &PairBlock, rows: &mut AnalyticRows) {
         for column in 0..COLUMNS {
             for lane in 0..LANES {
                 let light = direction(&pairs.light, column, lane);
@@ -76,7 +76,7 @@ impl AnalyticRows {
 }
 
 dispatch! {
-    fn accumulate<I>(rows: &AnalyticRows, delta: &[Row; 3], sums: &mut [[f32; LANES]; 8]) {
+    fn accumulate(_isa, rows: &AnalyticRows, delta: &[Row; 3], sums: &mut [[f32; LANES]; 8]) {
         for column in 0..COLUMNS {
             for lane in 0..LANES {
                 let d = Derivatives {
@@ -101,8 +101,7 @@ dispatch! {
 
 dispatch! {
     /// The weighted loss of `model` against `target`, summed into `total` by lanes, and its slopes.
-    pub fn loss_rows<I>(
-        loss: Loss, pairs: &PairBlock, target: &TargetBlock, model: &[Row; 3], slopes: &mut [Row; 3], total: &mut [f32; LANES],
+    pub fn loss_rows(_isa, loss: Loss, pairs: &PairBlock, target: &TargetBlock, model: &[Row; 3], slopes: &mut [Row; 3], total: &mut [f32; LANES],
     ) {
         for c in 0..3 {
             for column in 0..COLUMNS {

@@ -8,7 +8,7 @@ use glimt_core::microfacet::Microfacet;
 use glimt_core::simd::LANES;
 
 use crate::analytic;
-use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward};
+use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward, sum_row};
 use crate::ggx::{AnalyticRows, direction, evaluate, loss_rows};
 use crate::loss::Loss;
 use crate::objective::Objective;
@@ -97,7 +97,7 @@ impl Objective for HybridObjective {
         let (p_gradient, z_gradient) = own_gradient.split_at_mut(p.len());
         let input_delta = workspace.network.input_delta();
         for (gradient, delta) in z_gradient.iter_mut().zip(&input_delta[features..]) {
-            *gradient += delta.iter().flatten().sum::<f32>();
+            *gradient += sum_row(delta);
         }
         let mut alpha_sums = [0.0; 2];
         if self.joint {
@@ -165,7 +165,7 @@ impl HybridObjective {
 const MAX_RESIDUAL: f32 = 16.0;
 
 dispatch! {
-    fn fill_features<I>(form: Form, alpha: [f32; 2], pairs: &PairBlock, analytic: &[Row; 3], inputs: &mut [Row]) {
+    fn fill_features(_isa, form: Form, alpha: [f32; 2], pairs: &PairBlock, analytic: &[Row; 3], inputs: &mut [Row]) {
         // One loop for each choice of inputs, so that the choice is not made in every lane.
         match form.inputs {
             Inputs::Cartesian => fill_inputs(Inputs::Cartesian, alpha, pairs, inputs),
@@ -206,7 +206,7 @@ fn compose(composition: Composition, workspace: &mut HybridWorkspace) {
 }
 
 dispatch! {
-    fn compose_rows<I>(composition: Composition, analytic: &[Row; 3], outputs: &[Row], model: &mut [Row; 3]) {
+    fn compose_rows(_isa, composition: Composition, analytic: &[Row; 3], outputs: &[Row], model: &mut [Row; 3]) {
         for c in 0..3 {
             for column in 0..COLUMNS {
                 for lane in 0..LANES {
@@ -234,8 +234,7 @@ fn differentiate(composition: Composition, joint: bool, workspace: &mut HybridWo
 }
 
 dispatch! {
-    fn differentiate_rows<I>(
-        composition: Composition, joint: bool, analytic: &[Row; 3], outputs: &[Row], slopes: &[Row; 3],
+    fn differentiate_rows(_isa, composition: Composition, joint: bool, analytic: &[Row; 3], outputs: &[Row], slopes: &[Row; 3],
         analytic_slopes: &mut [Row; 3], delta: &mut [Row],
     ) {
         let joint = if joint { 1.0 } else { 0.0 };
