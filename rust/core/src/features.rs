@@ -9,6 +9,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::math::ln;
+use crate::simd::{LANES, Lane, Lane3};
 
 /// Most features that any choice of inputs has.
 pub const MAX_FEATURES: usize = 8;
@@ -101,12 +102,40 @@ impl Inputs {
         }
     }
 
+    /// [`Inputs::compute`] in every lane, to `x[feature][lane]`.
+    #[inline(always)]
+    pub fn compute_lanes(self, light: &Lane3, view: &Lane3, alpha: [f32; 2], x: &mut [Lane]) {
+        // One loop for each choice, so that the choice is not made in every lane.
+        match self {
+            Inputs::Cartesian => fill(Inputs::Cartesian, light, view, alpha, x),
+            Inputs::Isotropic => fill(Inputs::Isotropic, light, view, alpha, x),
+            Inputs::IsotropicReciprocal => fill(Inputs::IsotropicReciprocal, light, view, alpha, x),
+            Inputs::Anisotropic => fill(Inputs::Anisotropic, light, view, alpha, x),
+            Inputs::AnisotropicReciprocal => fill(Inputs::AnisotropicReciprocal, light, view, alpha, x),
+        }
+    }
+
     /// Derivatives of the lobe feature with respect to α_x and α_y.
     #[must_use]
     pub fn lobe_derivative(light: [f32; 3], view: [f32; 3], alpha: [f32; 2]) -> [f32; 2] {
         let p = HalfDifference::new(light, view);
         let scale = -2.0 * LOBE_SCALE / (p.height + p.slope(alpha)).max(f32::MIN_POSITIVE);
         [0, 1].map(|i| scale * p.tangential[i] / alpha[i].powi(3))
+    }
+}
+
+#[inline(always)]
+fn fill(inputs: Inputs, light: &Lane3, view: &Lane3, alpha: [f32; 2], x: &mut [Lane]) {
+    let x = &mut x[..inputs.count()];
+    for lane in 0..LANES {
+        let features = inputs.compute(
+            [light[0][lane], light[1][lane], light[2][lane]],
+            [view[0][lane], view[1][lane], view[2][lane]],
+            alpha,
+        );
+        for (x, feature) in x.iter_mut().zip(features) {
+            x[lane] = feature;
+        }
     }
 }
 

@@ -80,6 +80,26 @@ impl Form {
         self.inputs.count() + if self.analytic_input { 3 } else { 0 }
     }
 
+    /// The network's inputs in every lane, to `x[feature][lane]`; `analytic` is f_a.
+    #[inline(always)]
+    pub fn features_lanes(
+        self,
+        alpha: [f32; 2],
+        light: &Lane3,
+        view: &Lane3,
+        analytic: &Lane3,
+        x: &mut [Lane],
+    ) {
+        self.inputs.compute_lanes(light, view, alpha, x);
+        if self.analytic_input {
+            for (x, f) in x[self.inputs.count()..].iter_mut().zip(analytic) {
+                for lane in 0..LANES {
+                    x[lane] = Form::analytic_feature(f[lane]);
+                }
+            }
+        }
+    }
+
     /// The network input for an analytic value: its logarithm, on the scale of the other inputs.
     #[inline(always)]
     #[must_use]
@@ -230,41 +250,12 @@ dispatch! {
     fn eval_tile(isa, material: &Hybrid, light: &Lane3, view: &Lane3, out: &mut Lane3) {
         let mut x = [[0.0; LANES]; MAX_FEATURES + 3];
         material.microfacet.eval_lanes(light, view, out);
-        features_lanes(material.form, material.microfacet.alpha, light, view, out, &mut x);
+        material.form.features_lanes(material.microfacet.alpha, light, view, out, &mut x);
         let mut y = [[0.0; LANES]; MAX_WIDTH];
         material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
         for (c, f) in out.iter_mut().enumerate() {
             for lane in 0..LANES {
                 f[lane] = material.form.composition.compose(y[c][lane], y[c + 3][lane], f[lane], material.bound);
-            }
-        }
-    }
-}
-
-/// The network's inputs in every lane; `analytic` is f_a.
-#[inline(always)]
-pub fn features_lanes(
-    form: Form,
-    alpha: [f32; 2],
-    light: &Lane3,
-    view: &Lane3,
-    analytic: &Lane3,
-    x: &mut [Lane; MAX_FEATURES + 3],
-) {
-    for lane in 0..LANES {
-        let features = form.inputs.compute(
-            [light[0][lane], light[1][lane], light[2][lane]],
-            [view[0][lane], view[1][lane], view[2][lane]],
-            alpha,
-        );
-        for (x, feature) in x.iter_mut().zip(features) {
-            x[lane] = feature;
-        }
-    }
-    if form.analytic_input {
-        for (x, f) in x[form.inputs.count()..].iter_mut().zip(analytic) {
-            for lane in 0..LANES {
-                x[lane] = Form::analytic_feature(f[lane]);
             }
         }
     }

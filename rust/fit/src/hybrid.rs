@@ -1,7 +1,7 @@
 //! The hybrid model as an objective: one network, and p and z for every material (paper, eq. 4).
 
 use glimt_core::dispatch;
-use glimt_core::features::Inputs;
+use glimt_core::features::{Inputs, MAX_FEATURES};
 use glimt_core::hybrid::{Composition, Form};
 use glimt_core::math::exp;
 use glimt_core::microfacet::Microfacet;
@@ -12,7 +12,7 @@ use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forwar
 use crate::ggx::{AnalyticRows, direction, evaluate, loss_rows};
 use crate::loss::Loss;
 use crate::objective::Objective;
-use crate::pairs::{PairBlock, TargetBlock};
+use crate::pairs::{PairBlock, TargetBlock, lanes};
 
 /// Fits network, z and p together.
 #[derive(Clone, Debug)]
@@ -166,35 +166,12 @@ const MAX_RESIDUAL: f32 = 16.0;
 
 dispatch! {
     fn fill_features(_isa, form: Form, alpha: [f32; 2], pairs: &PairBlock, analytic: &[Row; 3], inputs: &mut [Row]) {
-        // One loop for each choice of inputs, so that the choice is not made in every lane.
-        match form.inputs {
-            Inputs::Cartesian => fill_inputs(Inputs::Cartesian, alpha, pairs, inputs),
-            Inputs::Isotropic => fill_inputs(Inputs::Isotropic, alpha, pairs, inputs),
-            Inputs::IsotropicReciprocal => fill_inputs(Inputs::IsotropicReciprocal, alpha, pairs, inputs),
-            Inputs::Anisotropic => fill_inputs(Inputs::Anisotropic, alpha, pairs, inputs),
-            Inputs::AnisotropicReciprocal => fill_inputs(Inputs::AnisotropicReciprocal, alpha, pairs, inputs),
-        }
-        if form.analytic_input {
-            for (row, analytic) in inputs[form.inputs.count()..].iter_mut().zip(analytic) {
-                for (row, analytic) in row.iter_mut().zip(analytic) {
-                    for lane in 0..LANES {
-                        row[lane] = Form::analytic_feature(analytic[lane]);
-                    }
-                }
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn fill_inputs(choice: Inputs, alpha: [f32; 2], pairs: &PairBlock, inputs: &mut [Row]) {
-    for column in 0..COLUMNS {
-        for lane in 0..LANES {
-            let light = direction(&pairs.light, column, lane);
-            let view = direction(&pairs.view, column, lane);
-            let features = choice.compute(light, view, alpha);
-            for i in 0..choice.count() {
-                inputs[i][column][lane] = features[i];
+        let mut x = [[0.0; LANES]; MAX_FEATURES + 3];
+        for column in 0..COLUMNS {
+            let (light, view) = (lanes(&pairs.light, column), lanes(&pairs.view, column));
+            form.features_lanes(alpha, &light, &view, &lanes(analytic, column), &mut x);
+            for (row, x) in inputs.iter_mut().zip(&x[..form.features()]) {
+                row[column] = *x;
             }
         }
     }

@@ -8,7 +8,7 @@
 use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
-use glimt_core::simd::LANES;
+use glimt_core::simd::{LANES, Lane3};
 use glimt_core::{Brdf, lobes::Lobes};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -26,6 +26,13 @@ pub struct PairBlock {
     pub view: [Row; 3],
     /// Weight of each pair: its density under the cosine distribution over that under the mixture.
     pub weight: Row,
+}
+
+/// One column of a block.
+#[inline(always)]
+#[must_use]
+pub fn lanes(rows: &[Row; 3], column: usize) -> Lane3 {
+    [rows[0][column], rows[1][column], rows[2][column]]
 }
 
 /// f of one material for a block of pairs, [channel].
@@ -119,9 +126,8 @@ pub fn evaluate(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
         .map(|pairs| {
             let mut target = [ZERO_ROW; 3];
             for column in 0..COLUMNS {
-                let of = |rows: &[Row; 3]| [rows[0][column], rows[1][column], rows[2][column]];
                 let mut f = [[0.0; LANES]; 3];
-                brdf.eval_tile(&of(&pairs.light), &of(&pairs.view), &mut f);
+                brdf.eval_tile(&lanes(&pairs.light, column), &lanes(&pairs.view, column), &mut f);
                 for (target, f) in target.iter_mut().zip(f) {
                     target[column] = f;
                 }
