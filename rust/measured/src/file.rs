@@ -4,6 +4,8 @@ use std::fs;
 use std::io::Read;
 use std::path::Path;
 
+use glimt_core::library::write_whole;
+
 use crate::error::Error;
 
 /// Reads a whole file.
@@ -37,9 +39,9 @@ pub(crate) fn read_start(path: &Path, count: u64) -> Result<(u64, Vec<u8>), Erro
     read().map_err(|source| Error::Read { path: path.to_owned(), source })
 }
 
-/// Writes a whole file.
+/// Writes a file: whole, or not at all.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Error> {
-    fs::write(path, bytes).map_err(|source| Error::Write { path: path.to_owned(), source })
+    write_whole(path, bytes).map_err(|source| Error::Write { path: path.to_owned(), source })
 }
 
 /// The file's name without directory and extension.

@@ -1,0 +1,154 @@
+//! `glimt convert`: from every format that can be read to every one that can be written.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use glimt_core::library::Entry;
+use glimt_core::{Brdf, Library};
+use glimt_files::Source;
+use glimt_measured::utia::Encoding;
+use rayon::prelude::*;
+
+use crate::{Usage, inputs, output};
+
+/// Convert files: NBRDF weights or libraries to one library, models or measurements to a measured format
+///
+/// OUT is a file, whose extension says the format, or a directory, into which every material is written
+/// as a file of its own. MERL stores isotropic, reciprocal materials: the half vector stays in one plane,
+/// and both orders of light and view are averaged. UTIA stores directions 15° and 7.5° apart.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Files, directories or globs to read, and last the file or directory to write
+    #[arg(required = true, value_names = ["IN", "OUT"], num_args = 1..)]
+    paths: Vec<PathBuf>,
+    /// Name of the material to convert; all if not given
+    #[arg(long, value_name = "NAME")]
+    material: Option<String>,
+    /// Format to write, where the extension of OUT does not say it
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    to: Option<Format>,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// Model library (.safetensors)
+    Library,
+    /// MERL table (.binary), 33 MB
+    Merl,
+    /// UTIA table (.bin), 2 MB
+    Utia,
+}
+
+impl Format {
+    fn extension(self) -> &'static str {
+        match self {
+            Format::Library => "safetensors",
+            Format::Merl => "binary",
+            Format::Utia => "bin",
+        }
+    }
+
+    fn of(path: &Path) -> Result<Format, Usage> {
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        let formats = [Format::Library, Format::Merl, Format::Utia];
+        formats.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension())).ok_or_else(|| {
+            Usage(format!(
+                "the extension of {} names no format that can be written; expected .safetensors, .binary or \
+                 .bin, or the format with --to",
+                path.display()
+            ))
+        })
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let [inputs @ .., out] = &arguments.paths[..] else { unreachable!("paths are required") };
+    if inputs.is_empty() {
+        return Err(Usage(format!("{} is all that was given, expected IN and OUT", out.display())).into());
+    }
+    let format = arguments.to.map_or_else(|| Format::of(out), Ok)?;
+    let into_directory = out.is_dir() || out.as_os_str().as_encoded_bytes().ends_with(b"/");
+    if format == Format::Library {
+        output::check_writable(out)?;
+        return write_library(out, inputs::open(inputs)?, arguments.material.as_deref());
+    }
+    if !into_directory {
+        output::check_writable(out)?;
+    }
+    let sources = inputs::open(inputs)?;
+    let materials = materials(&sources, arguments.material.as_deref())?;
+    if into_directory {
+        return write_tables(out, &materials, format);
+    }
+    match materials[..] {
+        [(_, brdf)] => write_table(out, brdf, format),
+        _ => bail!(
+            "{} holds one material, but there are {}; name one with --material, or give a directory and --to",
+            out.display(),
+            materials.len()
+        ),
+    }
+}
+
+/// The materials of all sources by name, or those of that name.
+fn materials<'a>(sources: &'a [Source], only: Option<&str>) -> Result<Vec<(String, &'a dyn Brdf)>> {
+    let mut materials = Vec::new();
+    for source in sources {
+        let names = only.map_or_else(|| source.names(), |name| vec![name.to_owned()]);
+        for name in names {
+            let brdf = source.brdf(Some(&name))?;
+            materials.push((name, brdf as &dyn Brdf));
+        }
+    }
+    Ok(materials)
+}
+
+fn write_library(path: &Path, sources: Vec<Source>, only: Option<&str>) -> Result<()> {
+    let mut entries: Vec<Entry> = Vec::new();
+    for source in &sources {
+        let Source::Library(library) = source else {
+            bail!(
+                "{} is a measurement, which a model library cannot hold; fit a model to it with glimt fit",
+                source.path().display()
+            );
+        };
+        match only {
+            Some(name) => entries.push(library.entry(Some(name))?.clone()),
+            None => entries.extend_from_slice(library.entries()),
+        }
+    }
+    Ok(Library::new(path, entries)?.save()?)
+}
+
+/// A file for each material.
+fn write_tables(directory: &Path, materials: &[(String, &dyn Brdf)], format: Format) -> Result<()> {
+    let cannot_write = || format!("cannot write {}", directory.display());
+    std::fs::create_dir_all(directory).with_context(cannot_write)?;
+    let path = |name: &str| directory.join(format!("{name}.{}", format.extension()));
+    for (i, (name, _)) in materials.iter().enumerate() {
+        if name.contains(['/', '\\']) {
+            bail!("the material \"{name}\" cannot be the name of a file");
+        }
+        if materials[..i].iter().any(|(other, _)| other == name) {
+            bail!("two materials are named \"{name}\", and both would become {}", path(name).display());
+        }
+        output::check_writable(&path(name))?;
+    }
+    let bar = output::progress_bar(materials.len(), "write");
+    materials.par_iter().try_for_each(|(name, brdf)| {
+        write_table(&path(name), *brdf, format)?;
+        bar.inc(1);
+        Ok(())
+    })
+}
+
+fn write_table(path: &Path, brdf: &dyn Brdf, format: Format) -> Result<()> {
+    match format {
+        Format::Merl => glimt_measured::write_merl(path, brdf)?,
+        Format::Utia => glimt_measured::write_utia(path, brdf, Encoding::default())?,
+        Format::Library => unreachable!("a library is written as a whole"),
+    }
+    Ok(())
+}

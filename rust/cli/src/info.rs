@@ -1,0 +1,250 @@
+//! `glimt info`: what a file holds.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use glimt_core::hybrid::Form;
+use glimt_core::library::{Entry, Origin};
+use glimt_core::network::{Activation, Network};
+use glimt_core::{Library, Material};
+use glimt_files::{Source, Table};
+use serde::Serialize;
+
+use crate::{inputs, output};
+
+/// Show what files hold: model, materials, bytes, provenance
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Files, directories or globs
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// One JSON object per file and line
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    for (i, path) in inputs::expand(&arguments.files)?.into_iter().enumerate() {
+        let info = Info::new(&Source::open(&path)?)?;
+        if arguments.json {
+            output::print(&(serde_json::to_string(&info)? + "\n"))?;
+        } else {
+            let separator = if i > 0 { "\n" } else { "" };
+            output::print(&format!("{separator}{}", info.text()))?;
+        }
+    }
+    Ok(())
+}
+
+/// What a file holds.
+#[derive(Serialize)]
+struct Info {
+    file: PathBuf,
+    bytes: u64,
+    kind: &'static str,
+    #[serde(flatten)]
+    content: Content,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Content {
+    Library {
+        #[serde(skip_serializing_if = "Option::is_none")]
+        form: Option<Form>,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        network: Option<NetworkInfo>,
+        bytes_per_material: usize,
+        shared_bytes: usize,
+        materials: Vec<MaterialInfo>,
+    },
+    Measured {
+        material: String,
+        description: String,
+        isotropic: bool,
+        /// Negative values in the file, which f takes as 0.
+        clamped: usize,
+    },
+}
+
+#[derive(Serialize)]
+struct NetworkInfo {
+    /// Values at each layer, inputs first.
+    sizes: Vec<usize>,
+    activation: &'static str,
+}
+
+#[derive(Serialize)]
+struct MaterialInfo {
+    name: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    kd: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    eta: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    alpha: Option<[f32; 2]>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    latent: Vec<f32>,
+    #[serde(flatten)]
+    origin: Origin,
+}
+
+impl Info {
+    fn new(source: &Source) -> Result<Info> {
+        let file = source.path().to_owned();
+        let metadata = std::fs::metadata(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        let content = match source {
+            Source::Library(library) => library_content(library),
+            Source::Table { table, .. } => table_content(table),
+        };
+        Ok(Info { file, bytes: metadata.len(), kind: source.kind(), content })
+    }
+
+    /// For people.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        let head = format!("{}: {}", self.file.display(), self.kind);
+        match &self.content {
+            Content::Measured { material, description, isotropic, clamped } => {
+                line(&mut text, &format!("{head} measurement, {} bytes", thousands(self.bytes)));
+                line(&mut text, &format!("  material     {material}"));
+                if !description.is_empty() {
+                    line(&mut text, &format!("  description  {description}"));
+                }
+                let symmetry = if *isotropic { "isotropic" } else { "anisotropic" };
+                line(&mut text, &format!("  symmetry     {symmetry}"));
+                line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
+            }
+            Content::Library { form, network, bytes_per_material, shared_bytes, materials } => {
+                let count = materials.len();
+                let plural = if count == 1 { "" } else { "s" };
+                line(
+                    &mut text,
+                    &format!("{head} models, {count} material{plural}, {} bytes", thousands(self.bytes)),
+                );
+                if let Some(NetworkInfo { sizes, activation }) = network {
+                    let sizes: Vec<String> = sizes.iter().map(usize::to_string).collect();
+                    line(&mut text, &format!("  network      {}, {activation}", sizes.join("-")));
+                }
+                if let Some(form) = form {
+                    line(&mut text, &format!("  form         {}", form_text(form)));
+                }
+                let (own, shared) = (thousands(*bytes_per_material as u64), thousands(*shared_bytes as u64));
+                line(&mut text, &format!("  size         {own} bytes per material and {shared} shared"));
+                let width = materials.iter().map(|material| material.name.chars().count()).max().unwrap_or(0);
+                for material in materials {
+                    line(&mut text, &format!("  {:width$}{}", material.name, material.text()));
+                }
+            }
+        }
+        text
+    }
+}
+
+fn library_content(library: &Library) -> Content {
+    let first = &library.entries()[0].material;
+    let (bytes_per_material, shared_bytes) = library.tensor_bytes();
+    Content::Library {
+        form: match first {
+            Material::Hybrid(hybrid) => Some(hybrid.form()),
+            Material::Ggx(_) | Material::Neural(_) | Material::Nbrdf(_) => None,
+        },
+        network: first.network().map(NetworkInfo::new),
+        bytes_per_material,
+        shared_bytes,
+        materials: library.entries().iter().map(MaterialInfo::new).collect(),
+    }
+}
+
+fn table_content(table: &Table) -> Content {
+    let measured = table.measured();
+    Content::Measured {
+        material: measured.name().to_owned(),
+        description: measured.description().to_owned(),
+        isotropic: measured.is_isotropic(),
+        clamped: measured.clamped(),
+    }
+}
+
+impl NetworkInfo {
+    fn new(network: &Network) -> NetworkInfo {
+        let inputs = network.features() + network.latent();
+        let outputs = network.layers().iter().map(|layer| layer.outputs());
+        NetworkInfo {
+            sizes: std::iter::once(inputs).chain(outputs).collect(),
+            activation: match network.activation() {
+                Activation::HardGelu => "hardgelu",
+                Activation::Relu => "relu",
+            },
+        }
+    }
+}
+
+impl MaterialInfo {
+    fn new(entry: &Entry) -> MaterialInfo {
+        let microfacet = entry.material.microfacet();
+        MaterialInfo {
+            name: entry.name.clone(),
+            kd: microfacet.map(|m| m.kd),
+            eta: microfacet.map(|m| m.eta),
+            alpha: microfacet.map(|m| m.alpha),
+            latent: entry.material.latent().to_vec(),
+            origin: entry.origin.clone(),
+        }
+    }
+
+    /// What stands after the name.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        for (name, values) in [
+            ("kd", self.kd.as_ref().map(<[f32; 3]>::as_slice)),
+            ("eta", self.eta.as_ref().map(<[f32; 3]>::as_slice)),
+            ("alpha", self.alpha.as_ref().map(<[f32; 2]>::as_slice)),
+        ] {
+            if let Some(values) = values {
+                let values: Vec<String> = values.iter().map(|value| format!("{value:.3}")).collect();
+                write!(text, "  {name} {}", values.join(" ")).expect("a string takes all");
+            }
+        }
+        for (name, value) in &self.origin.metrics {
+            write!(text, "  {name} {value:.4}").expect("a string takes all");
+        }
+        if !self.origin.source.is_empty() {
+            write!(text, "  from {}", self.origin.source).expect("a string takes all");
+        }
+        text
+    }
+}
+
+fn form_text(form: &Form) -> String {
+    let logarithm = if form.analytic_input { " and ln f_a" } else { "" };
+    format!("{} inputs{logarithm}, {}", spelling(&form.inputs), spelling(&form.composition))
+}
+
+/// A variant as files spell it.
+fn spelling(variant: &impl Serialize) -> String {
+    match serde_json::to_value(variant) {
+        Ok(serde_json::Value::String(name)) => name,
+        other => format!("{other:?}"),
+    }
+}
+
+fn line(text: &mut String, line: &str) {
+    text.push_str(line);
+    text.push('\n');
+}
+
+/// A number with commas between its thousands.
+fn thousands(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}

@@ -1,0 +1,93 @@
+//! `glimt`: compact and neural BRDFs, fitted to measured reflectance.
+//!
+//! Exit code 0: done; 1: failed, with one line on the standard error stream; 2: bad usage.
+
+mod convert;
+mod eval;
+mod info;
+mod inputs;
+mod output;
+mod sample;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Compact and neural BRDFs, fitted to measured reflectance.
+///
+/// FILE is a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) measurement, or
+/// the weights of a neural BRDF as Sztrajman et al. publish them (.npz, or *_fc1.npy for a set of .npy
+/// files). Directions are unit vectors in the local frame with the normal +z, and point away from the
+/// surface; f is in 1/sr, linear RGB, without the cosine.
+#[derive(Parser)]
+#[command(name = "glimt", version, propagate_version = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+
+    /// Threads to use; all that the machine has if not given.
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Info(info::Arguments),
+    Eval(eval::Arguments),
+    Sample(sample::Arguments),
+    Convert(convert::Arguments),
+}
+
+/// Arguments that fit the syntax but make no sense together.
+#[derive(Debug)]
+struct Usage(String);
+
+impl std::fmt::Display for Usage {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Usage {}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    match run(arguments) {
+        Ok(()) => ExitCode::SUCCESS,
+        // Whoever read our output has seen enough, as `head` does.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", one_line(&error));
+            if error.is::<Usage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
+        }
+    }
+}
+
+fn run(arguments: Arguments) -> anyhow::Result<()> {
+    if let Some(threads) = arguments.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
+    }
+    match arguments.command {
+        Command::Info(arguments) => info::run(&arguments),
+        Command::Eval(arguments) => eval::run(&arguments),
+        Command::Sample(arguments) => sample::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
+    }
+}
+
+/// The error and its causes. Errors of the libraries end with their cause already.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if line.is_empty() {
+            line = cause;
+        } else if !line.ends_with(&cause) {
+            line = format!("{line}: {cause}");
+        }
+    }
+    line.replace('\n', " ")
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}
