@@ -4,4 +4,5 @@
 //! the whole renderer.
 
 mod bridge;
+pub mod c_api;
 mod packet;

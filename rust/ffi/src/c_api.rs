@@ -1,0 +1,606 @@
+//! The C interface, `cpp/include/glimt/glimt.h`. The comments here are those of the header, which
+//! is generated from this file; `tests/c_header.rs` says how.
+
+// Types are spelled as in C.
+#![allow(non_camel_case_types)]
+// The header says once what every pointer must be, and that is the promise that the calls rely on.
+#![allow(clippy::missing_safety_doc)]
+
+use std::cell::RefCell;
+use std::ffi::{CStr, CString, c_char};
+use std::ptr;
+
+use glimt_core::{Brdf, Error, Library, Material, Sample, SampleBrdf, Vec3};
+
+use crate::bridge::guarded;
+
+/// What a function answers.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum glimt_status {
+    /// It did what it says.
+    GLIMT_OK = 0,
+    /// An argument is NULL that must not be, or a name is not UTF-8.
+    GLIMT_ERROR_ARGUMENT = 1,
+    /// The file cannot be read.
+    GLIMT_ERROR_READ = 2,
+    /// The file is not a model library, or not a valid one.
+    GLIMT_ERROR_FORMAT = 3,
+    /// The library has no material of that name, or has several and none was named.
+    GLIMT_ERROR_MATERIAL = 4,
+    /// A parameter is out of its range, or the model has no such parameter.
+    GLIMT_ERROR_PARAMETER = 5,
+    /// An error of glimt itself.
+    GLIMT_ERROR_INTERNAL = 6,
+}
+use glimt_status::*;
+
+/// The model of a material.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum glimt_kind {
+    /// The analytic BRDF alone: a Lambertian lobe under a GGX lobe.
+    GLIMT_KIND_GGX = 0,
+    /// The analytic BRDF, corrected by a network.
+    GLIMT_KIND_HYBRID = 1,
+    /// A network with learned shading frames.
+    GLIMT_KIND_NEURAL = 2,
+    /// A network of one material, as Sztrajman et al. 2021.
+    GLIMT_KIND_NBRDF = 3,
+}
+use glimt_kind::*;
+
+/// A model library in memory. Immutable: any number of threads may use it at once.
+pub struct glimt_library {
+    library: Library,
+    names: Vec<CString>,
+    kind: CString,
+}
+
+/// A material. Immutable: any number of threads may use it at once. It does not depend on the
+/// library that it came from, which may be closed before it.
+pub struct glimt_material {
+    name: CString,
+    material: Material,
+}
+
+/// What a material is made of.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct glimt_material_info {
+    /// The name, UTF-8; valid as long as the material.
+    pub name: *const c_char,
+    /// The model.
+    pub kind: glimt_kind,
+    /// Whether the model has an analytic part. If not, kd, eta and alpha are 0.
+    pub has_microfacet: bool,
+    /// Diffuse albedo, linear RGB, in [0, 1].
+    pub kd: [f32; 3],
+    /// Relative index of refraction per channel, in [1, 10].
+    pub eta: [f32; 3],
+    /// GGX roughness along x and y, in [0.0001, 1].
+    pub alpha: [f32; 2],
+    /// The latent code, or NULL; valid as long as the material.
+    pub latent: *const f32,
+    /// Length of the latent code, 0 for models that have none.
+    pub latent_size: usize,
+}
+
+/// A sampled light direction. A sample that failed has pdf 0 and weight 0.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct glimt_light_sample {
+    /// Unit direction towards the light.
+    pub light: [f32; 3],
+    /// Density of the direction, in 1/sr.
+    pub pdf: f32,
+    /// f cos(theta_light) / pdf, linear RGB.
+    pub weight: [f32; 3],
+}
+
+impl From<Sample> for glimt_light_sample {
+    fn from(Sample { light, pdf, weight }: Sample) -> Self {
+        glimt_light_sample { light: light.to_array(), pdf, weight: weight.to_array() }
+    }
+}
+
+thread_local! {
+    static LAST_ERROR: RefCell<CString> = RefCell::default();
+}
+
+/// Keeps the message for `glimt_last_error`.
+fn fail(status: glimt_status, message: impl Into<Vec<u8>>) -> glimt_status {
+    let mut message = message.into();
+    message.retain(|&byte| byte != 0);
+    // A thread that is ending has no place for messages left, and nobody who could ask for them.
+    let _ = LAST_ERROR.try_with(|last| *last.borrow_mut() = CString::new(message).unwrap_or_default());
+    status
+}
+
+fn missing(argument: &str) -> glimt_status {
+    fail(GLIMT_ERROR_ARGUMENT, format!("{argument} is NULL"))
+}
+
+fn fail_with(error: &Error) -> glimt_status {
+    let status = match error {
+        Error::Read { .. } | Error::Write { .. } => GLIMT_ERROR_READ,
+        Error::Format { .. } => GLIMT_ERROR_FORMAT,
+        Error::UnknownMaterial { .. } | Error::MaterialNotNamed { .. } => GLIMT_ERROR_MATERIAL,
+        Error::Parameter { .. } => GLIMT_ERROR_PARAMETER,
+    };
+    fail(status, error.to_string())
+}
+
+/// What `f` answers; a panic becomes a status, as it must not reach C.
+fn call(f: impl FnOnce() -> glimt_status) -> glimt_status {
+    guarded(None, || Some(f())).unwrap_or_else(|| {
+        fail(GLIMT_ERROR_INTERNAL, "internal error of glimt; the standard error stream says more")
+    })
+}
+
+/// A string argument.
+///
+/// # Safety
+/// `text` is NULL or ends with a zero byte.
+unsafe fn string<'a>(text: *const c_char, argument: &str) -> Result<&'a str, glimt_status> {
+    if text.is_null() {
+        return Err(missing(argument));
+    }
+    // SAFETY: the caller's promise.
+    let text = unsafe { CStr::from_ptr(text) };
+    text.to_str().map_err(|_| fail(GLIMT_ERROR_ARGUMENT, format!("{argument} is not UTF-8")))
+}
+
+/// Puts a new object on the heap for C to hold.
+///
+/// # Safety
+/// `out` can be written.
+unsafe fn hand_out<T>(out: *mut *mut T, object: T) -> glimt_status {
+    // SAFETY: the caller's promise.
+    unsafe { *out = Box::into_raw(Box::new(object)) };
+    GLIMT_OK
+}
+
+/// Version of glimt, as "major.minor.patch". A string that is always valid.
+#[unsafe(no_mangle)]
+pub extern "C" fn glimt_version() -> *const c_char {
+    const VERSION: &CStr =
+        match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
+            Ok(version) => version,
+            Err(_) => panic!("the version holds no zero byte"),
+        };
+    VERSION.as_ptr()
+}
+
+/// Message of the last error in the calling thread, UTF-8, one line; empty if there was none.
+///
+/// It names the file, what was found and what was expected. Valid until the next error in the same
+/// thread. Never NULL. A call that succeeds leaves the message as it is.
+#[unsafe(no_mangle)]
+pub extern "C" fn glimt_last_error() -> *const c_char {
+    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+}
+
+/// Reads a model library.
+///
+/// \param path     File name, UTF-8.
+/// \param library  Receives the library, to be closed with glimt_library_close(); NULL on error.
+///
+/// \return GLIMT_OK; GLIMT_ERROR_READ if the file cannot be read; GLIMT_ERROR_FORMAT if it is not a
+/// valid library; GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_open(
+    path: *const c_char,
+    library: *mut *mut glimt_library,
+) -> glimt_status {
+    call(|| {
+        if library.is_null() {
+            return missing("library");
+        }
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { *library = ptr::null_mut() };
+        // SAFETY: the caller's promise.
+        let path = match unsafe { string(path, "path") } {
+            Ok(path) => path,
+            Err(status) => return status,
+        };
+        match Library::open(path) {
+            Err(error) => fail_with(&error),
+            Ok(opened) => {
+                let names = opened.entries().iter().map(|entry| c_string(&entry.name)).collect();
+                let kind = c_string(opened.kind());
+                // SAFETY: the caller's promise.
+                unsafe { hand_out(library, glimt_library { library: opened, names, kind }) }
+            }
+        }
+    })
+}
+
+/// A name for C, which cannot hold zero bytes.
+fn c_string(text: &str) -> CString {
+    CString::new(text.replace('\0', "")).unwrap_or_default()
+}
+
+/// Closes a library. Its materials stay valid; its names do not. NULL is ignored.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_close(library: *mut glimt_library) {
+    if !library.is_null() {
+        // SAFETY: the caller's promise; it came from `hand_out`.
+        let library = unsafe { Box::from_raw(library) };
+        guarded((), || drop(library));
+    }
+}
+
+/// Number of materials in a library; 0 for NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_size(library: *const glimt_library) -> usize {
+    // SAFETY: the caller's promise.
+    unsafe { library.as_ref() }.map_or(0, |library| library.names.len())
+}
+
+/// Name of a material, UTF-8; valid until the library is closed.
+///
+/// \param index  0 to glimt_library_size() - 1, in the file's order; the result is NULL for others.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index: usize) -> *const c_char {
+    // SAFETY: the caller's promise.
+    let library = unsafe { library.as_ref() };
+    library.and_then(|library| library.names.get(index)).map_or(ptr::null(), |name| name.as_ptr())
+}
+
+/// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural" or
+/// "nbrdf"; valid until the library is closed. NULL for NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
+    // SAFETY: the caller's promise.
+    unsafe { library.as_ref() }.map_or(ptr::null(), |library| library.kind.as_ptr())
+}
+
+/// A material of a library.
+///
+/// \param name      Name, UTF-8; NULL for the only material of a library that holds one.
+/// \param material  Receives the material, to be released with glimt_material_release(); NULL on error.
+///
+/// \return GLIMT_OK; GLIMT_ERROR_MATERIAL if there is no such material, and glimt_last_error() then
+/// says which names are near; GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_material(
+    library: *const glimt_library,
+    name: *const c_char,
+    material: *mut *mut glimt_material,
+) -> glimt_status {
+    call(|| {
+        if material.is_null() {
+            return missing("material");
+        }
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { *material = ptr::null_mut() };
+        // SAFETY: the caller's promise.
+        let Some(library) = (unsafe { library.as_ref() }) else { return missing("library") };
+        // SAFETY: the caller's promise.
+        let name = match (!name.is_null()).then(|| unsafe { string(name, "name") }).transpose() {
+            Ok(name) => name,
+            Err(status) => return status,
+        };
+        match library.library.entry(name) {
+            Err(error) => fail_with(&error),
+            Ok(entry) => {
+                let found = glimt_material { name: c_string(&entry.name), material: entry.material.clone() };
+                // SAFETY: the caller's promise.
+                unsafe { hand_out(material, found) }
+            }
+        }
+    })
+}
+
+/// Releases a material. NULL is ignored.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_material_release(material: *mut glimt_material) {
+    if !material.is_null() {
+        // SAFETY: the caller's promise; it came from `hand_out`.
+        let material = unsafe { Box::from_raw(material) };
+        guarded((), || drop(material));
+    }
+}
+
+/// What a material is made of.
+///
+/// \param info  Receives it. Its pointers are valid until the material is released.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_material_get_info(
+    material: *const glimt_material,
+    info: *mut glimt_material_info,
+) -> glimt_status {
+    call(|| {
+        // SAFETY: the caller's promise.
+        let Some(material) = (unsafe { material.as_ref() }) else { return missing("material") };
+        if info.is_null() {
+            return missing("info");
+        }
+        let microfacet = material.material.microfacet();
+        let latent = material.material.latent();
+        // SAFETY: the caller's promise; not NULL.
+        unsafe {
+            info.write(glimt_material_info {
+                name: material.name.as_ptr(),
+                kind: kind(&material.material),
+                has_microfacet: microfacet.is_some(),
+                kd: microfacet.map_or([0.0; 3], |m| m.kd),
+                eta: microfacet.map_or([0.0; 3], |m| m.eta),
+                alpha: microfacet.map_or([0.0; 2], |m| m.alpha),
+                latent: if latent.is_empty() { ptr::null() } else { latent.as_ptr() },
+                latent_size: latent.len(),
+            });
+        }
+        GLIMT_OK
+    })
+}
+
+fn kind(material: &Material) -> glimt_kind {
+    match material {
+        Material::Ggx(_) => GLIMT_KIND_GGX,
+        Material::Hybrid(_) => GLIMT_KIND_HYBRID,
+        Material::Neural(_) => GLIMT_KIND_NEURAL,
+        Material::Nbrdf(_) => GLIMT_KIND_NBRDF,
+    }
+}
+
+/// A copy of a material with other parameters of its analytic part. The sampler follows them.
+///
+/// \param kd     Three numbers in [0, 1], or NULL to keep them.
+/// \param eta    Three numbers in [1, 10], or NULL to keep them.
+/// \param alpha  Two numbers in [0.0001, 1], or NULL to keep them.
+/// \param edited Receives the copy, to be released with glimt_material_release(); NULL on error.
+///
+/// \return GLIMT_OK; GLIMT_ERROR_PARAMETER for a number out of its range or a model without an
+/// analytic part; GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_material_edit(
+    material: *const glimt_material,
+    kd: *const f32,
+    eta: *const f32,
+    alpha: *const f32,
+    edited: *mut *mut glimt_material,
+) -> glimt_status {
+    call(|| {
+        if edited.is_null() {
+            return missing("edited");
+        }
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { *edited = ptr::null_mut() };
+        // SAFETY: the caller's promise.
+        let Some(material) = (unsafe { material.as_ref() }) else { return missing("material") };
+        let refused = |reason: String| {
+            let name = material.name.to_string_lossy();
+            fail(GLIMT_ERROR_PARAMETER, format!("material \"{name}\": {reason}"))
+        };
+        let Some(mut microfacet) = material.material.microfacet().copied() else {
+            return refused(format!(
+                "a {} material has no kd, eta or alpha to edit",
+                material.material.kind()
+            ));
+        };
+        // SAFETY: the caller's promise.
+        unsafe {
+            replace(&mut microfacet.kd, kd);
+            replace(&mut microfacet.eta, eta);
+            replace(&mut microfacet.alpha, alpha);
+        }
+        match material.material.with_microfacet(microfacet) {
+            Err(reason) => refused(reason),
+            Ok(changed) => {
+                let copy = glimt_material { name: material.name.clone(), material: changed };
+                // SAFETY: the caller's promise.
+                unsafe { hand_out(edited, copy) }
+            }
+        }
+    })
+}
+
+/// # Safety
+/// `from` is NULL or points to `N` numbers.
+unsafe fn replace<const N: usize>(values: &mut [f32; N], from: *const f32) {
+    // SAFETY: the caller's promise; an array of floats is aligned like a float.
+    if let Some(&new) = unsafe { from.cast::<[f32; N]>().as_ref() } {
+        *values = new;
+    }
+}
+
+/// A material and as many directions as the arrays that belong to it hold, or the status to return.
+macro_rules! check {
+    ($material:ident; $($pointer:ident),*) => {{
+        $(if $pointer.is_null() {
+            return missing(stringify!($pointer));
+        })*
+        // SAFETY: the caller's promise.
+        let Some(material) = (unsafe { $material.as_ref() }) else { return missing("material") };
+        &material.material
+    }};
+}
+
+/// Evaluates f_r(light, view) in 1/sr, linear RGB, without the cosine.
+///
+/// Directions are unit vectors in the local frame, whose normal is +z, and point away from the
+/// surface: light to where the energy comes from, view to where it goes. Below the horizon on
+/// either side, and where a direction holds a NaN, f is 0. f is finite and never negative.
+/// Allocates no memory. Not guaranteed: f(light, view) = f(view, light).
+///
+/// \param f  Receives three numbers.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_eval(
+    material: *const glimt_material,
+    light: *const f32,
+    view: *const f32,
+    f: *mut f32,
+) -> glimt_status {
+    call(|| {
+        let material = check!(material; light, view, f);
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { write(f, material.eval(read(light), read(view))) };
+        GLIMT_OK
+    })
+}
+
+/// Density in 1/sr (solid angle of light) with which glimt_sample() chooses light for view.
+///
+/// Directions as for glimt_eval(); 0 where f is 0 for them. Allocates no memory.
+///
+/// \param pdf  Receives one number.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_pdf(
+    material: *const glimt_material,
+    light: *const f32,
+    view: *const f32,
+    pdf: *mut f32,
+) -> glimt_status {
+    call(|| {
+        let material = check!(material; light, view, pdf);
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { *pdf = material.pdf(read(light), read(view)) };
+        GLIMT_OK
+    })
+}
+
+/// Chooses a light direction for a view direction.
+///
+/// A direction that falls below the horizon is a failed sample: pdf 0 and weight 0, and GLIMT_OK.
+/// Allocates no memory.
+///
+/// \param view  Unit vector, as for glimt_eval().
+/// \param u     Three random numbers in [0, 1): the first selects the lobe, the others a direction.
+/// \param sample  Receives the direction, its density and its weight.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_sample(
+    material: *const glimt_material,
+    view: *const f32,
+    u: *const f32,
+    sample: *mut glimt_light_sample,
+) -> glimt_status {
+    call(|| {
+        let material = check!(material; view, u, sample);
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { sample.write(material.sample(read(view), read(u)).into()) };
+        GLIMT_OK
+    })
+}
+
+/// glimt_eval() for n pairs. Much faster than n calls, and the very same numbers.
+///
+/// Runs in the calling thread. Allocates no memory.
+///
+/// \param light  n directions, one after the other: 3 n numbers.
+/// \param view   As many directions.
+/// \param f      Receives 3 n numbers; must not overlap with light or view.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_eval_batch(
+    material: *const glimt_material,
+    n: usize,
+    light: *const f32,
+    view: *const f32,
+    f: *mut f32,
+) -> glimt_status {
+    call(|| {
+        if n == 0 {
+            return GLIMT_OK;
+        }
+        let material = check!(material; light, view, f);
+        // SAFETY: the caller's promise; not NULL. A Vec3 is three floats and aligned like one.
+        let (light, view, f) = unsafe {
+            (
+                std::slice::from_raw_parts(light.cast::<Vec3>(), n),
+                std::slice::from_raw_parts(view.cast::<Vec3>(), n),
+                std::slice::from_raw_parts_mut(f.cast::<Vec3>(), n),
+            )
+        };
+        material.eval_batch(light, view, f);
+        GLIMT_OK
+    })
+}
+
+/// glimt_pdf() for n pairs.
+///
+/// Runs in the calling thread. Allocates no memory.
+///
+/// \param light  n directions, one after the other: 3 n numbers.
+/// \param view   As many directions.
+/// \param pdf    Receives n numbers; must not overlap with light or view.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_pdf_batch(
+    material: *const glimt_material,
+    n: usize,
+    light: *const f32,
+    view: *const f32,
+    pdf: *mut f32,
+) -> glimt_status {
+    call(|| {
+        if n == 0 {
+            return GLIMT_OK;
+        }
+        let material = check!(material; light, view, pdf);
+        let lobes = material.lobes();
+        for i in 0..n {
+            // SAFETY: the caller's promise; not NULL.
+            unsafe { *pdf.add(i) = lobes.pdf(read(light.add(3 * i)), read(view.add(3 * i))) };
+        }
+        GLIMT_OK
+    })
+}
+
+/// glimt_sample() for n view directions.
+///
+/// Runs in the calling thread. Allocates no memory.
+///
+/// \param view     n directions, one after the other: 3 n numbers.
+/// \param u        3 n random numbers in [0, 1).
+/// \param samples  Receives n samples.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_sample_batch(
+    material: *const glimt_material,
+    n: usize,
+    view: *const f32,
+    u: *const f32,
+    samples: *mut glimt_light_sample,
+) -> glimt_status {
+    call(|| {
+        if n == 0 {
+            return GLIMT_OK;
+        }
+        let material = check!(material; view, u, samples);
+        for i in 0..n {
+            // SAFETY: the caller's promise; not NULL.
+            unsafe {
+                let sample = material.sample(read(view.add(3 * i)), read(u.add(3 * i)));
+                samples.add(i).write(sample.into());
+            }
+        }
+        GLIMT_OK
+    })
+}
+
+/// # Safety
+/// `at` points to three numbers.
+unsafe fn read(at: *const f32) -> Vec3 {
+    // SAFETY: the caller's promise.
+    unsafe { Vec3::new(*at, *at.add(1), *at.add(2)) }
+}
+
+/// # Safety
+/// `at` points to room for three numbers.
+unsafe fn write(at: *mut f32, value: Vec3) {
+    // SAFETY: the caller's promise; an array of floats is aligned like a float.
+    unsafe { at.cast::<[f32; 3]>().write(value.to_array()) };
+}
