@@ -1,0 +1,70 @@
+//! `glimt.load` and `glimt.Library`.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use glimt_files::Source;
+use pyo3::prelude::*;
+
+use crate::error;
+use crate::material::Material;
+
+/// Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights (.npz).
+#[pyfunction]
+pub fn load(py: Python, path: PathBuf) -> PyResult<Library> {
+    let source = py.detach(|| Source::open(path)).map_err(error)?;
+    Ok(Library { source: Arc::new(source) })
+}
+
+/// The materials of a file. Immutable.
+#[pyclass(frozen, module = "glimt")]
+pub struct Library {
+    source: Arc<Source>,
+}
+
+#[pymethods]
+impl Library {
+    /// Names of the materials in the file's order.
+    #[getter]
+    fn materials(&self) -> Vec<String> {
+        self.source.names()
+    }
+
+    /// Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "merl", "rgl" or "utia".
+    #[getter]
+    fn kind(&self) -> &'static str {
+        self.source.kind()
+    }
+
+    /// The file that it was read from.
+    #[getter]
+    fn path(&self) -> PathBuf {
+        self.source.path().to_owned()
+    }
+
+    /// The material of that name; the only one if no name is given.
+    #[pyo3(signature = (name=None))]
+    fn material(&self, name: Option<&str>) -> PyResult<Material> {
+        Material::new(&self.source, name).map_err(error)
+    }
+
+    fn __getitem__(&self, name: &str) -> PyResult<Material> {
+        self.material(Some(name))
+    }
+
+    fn __contains__(&self, name: &str) -> bool {
+        self.source.names().iter().any(|other| other == name)
+    }
+
+    fn __iter__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        Ok(self.materials().into_pyobject(py)?.try_iter()?.into_any())
+    }
+
+    fn __len__(&self) -> usize {
+        self.source.names().len()
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<glimt.Library {:?}: {}, {} materials>", self.source.path(), self.kind(), self.__len__())
+    }
+}
