@@ -417,7 +417,11 @@ impl Tensors<'_> {
         Ok(tensor.data.as_chunks().0.to_vec())
     }
 
+    /// Latent codes; none where the file has none, which is so where every material has a network.
     fn latents(&self) -> Result<Vec<Vec<f32>>, String> {
+        if self.file.tensor("latent").is_err() {
+            return Ok(vec![Vec::new(); self.materials]);
+        }
         let tensor = self.take("latent")?;
         match tensor.shape[..] {
             [materials, width] if materials == self.materials && width > 0 => {
@@ -679,7 +683,8 @@ mod tests {
         assert!(refused(&replaced("\"glimt\"", "\"other\"")).contains("some other safetensors file"));
         assert!(refused(&replaced("\\\"format\\\":1", "\\\"format\\\":9")).contains("version 9, expected 1"));
         assert!(refused(&replaced("hybrid", "hybrod")).contains("its model is \"hybrod\""));
-        assert!(refused(&replaced("latent", "lament")).contains("\"latent\" is missing"));
+        assert!(refused(&replaced("bound", "sound")).contains("\"bound\" is missing"));
+        assert!(refused(&replaced("latent", "lament")).contains("0 numbers, expected 4"));
         let mut bytes = good.clone();
         let end = bytes.len();
         bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());

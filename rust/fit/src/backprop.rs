@@ -147,6 +147,12 @@ impl Workspace {
         &mut self.delta[..outputs]
     }
 
+    /// [`Workspace::outputs`] and [`Workspace::output_delta`] at once.
+    pub fn outputs_and_delta(&mut self) -> (&[Row], &mut [Row]) {
+        let outputs = &self.values[self.values.len() - 1];
+        (outputs, &mut self.delta[..outputs.len()])
+    }
+
     /// The derivatives with respect to the inputs after [`backward`].
     #[must_use]
     pub fn input_delta(&self) -> &[Row] {

@@ -108,7 +108,7 @@ impl Objective for HybridObjective {
             }
         }
         loss_rows(self.loss, pairs, target, &workspace.model, &mut workspace.slopes, &mut total);
-        differentiate(self.form.composition, self.joint, workspace);
+        differentiate(self, workspace);
         let (network_gradient, own_gradient) = match self.sharing {
             Sharing::Library => (shared_gradient, own_gradient),
             Sharing::Material => own_gradient.split_at_mut(network.len()),
@@ -241,24 +241,24 @@ dispatch! {
 }
 
 /// From ∂loss/∂f: ∂loss/∂outputs, and what L_t adds to ∂loss/∂f_a.
-fn differentiate(composition: Composition, joint: bool, workspace: &mut HybridWorkspace) {
-    let outputs: Vec<Row> = workspace.network.outputs().to_vec();
+fn differentiate(objective: &HybridObjective, workspace: &mut HybridWorkspace) {
+    let (outputs, delta) = workspace.network.outputs_and_delta();
+    let analytic_slopes = &mut workspace.analytic_slopes;
     differentiate_rows(
-        composition,
-        joint,
+        objective,
         &workspace.analytic.value,
-        &outputs,
+        outputs,
         &workspace.slopes,
-        &mut workspace.analytic_slopes,
-        workspace.network.output_delta(),
+        analytic_slopes,
+        delta,
     );
 }
 
 dispatch! {
-    fn differentiate_rows(_isa, composition: Composition, joint: bool, analytic: &[Row; 3], outputs: &[Row], slopes: &[Row; 3],
+    fn differentiate_rows(_isa, objective: &HybridObjective, analytic: &[Row; 3], outputs: &[Row], slopes: &[Row; 3],
         analytic_slopes: &mut [Row; 3], delta: &mut [Row],
     ) {
-        let joint = if joint { 1.0 } else { 0.0 };
+        let joint = if objective.joint { 1.0 } else { 0.0 };
         for c in 0..3 {
             for column in 0..COLUMNS {
                 for lane in 0..LANES {
@@ -266,7 +266,7 @@ dispatch! {
                     let f_a = analytic[c][column][lane];
                     let a = outputs[c][column][lane];
                     let exp_a = exp(a.min(MAX_RESIDUAL));
-                    let (by_a, by_analytic) = match composition {
+                    let (by_a, by_analytic) = match objective.form.composition {
                         Composition::GatedResidual => {
                             let gate = 1.0 / (1.0 + exp(-outputs[c + 3][column][lane]));
                             delta[c + 3][column][lane] = slope * gate * (1.0 - gate) * f_a;

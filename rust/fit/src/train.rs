@@ -106,7 +106,7 @@ pub fn train<O: Objective>(
         state.step += 1;
         schedule.adamw.update(&mut state.numbers, &gradient, &mut state.moments, state.step, rate, decays);
 
-        if state.step % REPORT_EVERY == 0 || state.step == schedule.steps {
+        if state.step.is_multiple_of(REPORT_EVERY) || state.step == schedule.steps {
             let done = (state.step - 1) % REPORT_EVERY + 1;
             let progress = Progress {
                 step: state.step,

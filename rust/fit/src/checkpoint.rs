@@ -1,0 +1,97 @@
+//! An interrupted fit as a file, from which it goes on to the same result.
+//!
+//! The container is safetensors: the numbers and the optimiser's means as tensors, and in the
+//! metadata under `glimt-checkpoint` the options and the materials, which must be the same again.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use glimt_core::library::write_whole;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+
+use crate::adamw::Moments;
+use crate::error::Error;
+use crate::fit::Options;
+use crate::train::State;
+
+/// A fit that can go on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint {
+    /// What was asked for.
+    pub options: Options,
+    /// The materials by name and hash of their source.
+    pub materials: Vec<(String, String)>,
+    /// Where the fit is.
+    pub state: State,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Header {
+    options: Options,
+    materials: Vec<(String, String)>,
+    step: u64,
+}
+
+const KEY: &str = "glimt-checkpoint";
+
+impl Checkpoint {
+    /// Writes the checkpoint: whole, or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Checkpoint`].
+    pub fn save(&self, path: &Path) -> Result<(), Error> {
+        let header = Header {
+            options: self.options.clone(),
+            materials: self.materials.clone(),
+            step: self.state.step,
+        };
+        let json = serde_json::to_string(&header).expect("numbers and strings always serialise");
+        let moments = &self.state.moments;
+        let tensors =
+            [("numbers", &self.state.numbers), ("first", &moments.first), ("second", &moments.second)];
+        let views = tensors.map(|(name, values)| {
+            let view = TensorView::new(Dtype::F32, vec![values.len()], bytemuck::cast_slice(values));
+            (name, view.expect("the shape is made from the data"))
+        });
+        let bytes = safetensors::serialize(views, Some(HashMap::from([(KEY.to_owned(), json)])))
+            .expect("names and shapes are valid");
+        write_whole(path, &bytes).map_err(|e| failed(path, format!("cannot be written: {e}")))
+    }
+
+    /// Reads a checkpoint.
+    ///
+    /// # Errors
+    /// [`Error::Checkpoint`].
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let bytes = std::fs::read(path).map_err(|e| failed(path, format!("cannot be read: {e}")))?;
+        decode(&bytes).map_err(|reason| failed(path, reason))
+    }
+}
+
+fn failed(path: &Path, reason: String) -> Error {
+    Error::Checkpoint { path: path.to_path_buf(), reason }
+}
+
+fn decode(bytes: &[u8]) -> Result<Checkpoint, String> {
+    let container = |e: safetensors::SafeTensorError| format!("as a safetensors file it is broken: {e}");
+    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
+    let json = metadata.metadata().as_ref().and_then(|m| m.get(KEY));
+    let json = json.ok_or("it is not a checkpoint of glimt")?;
+    let header: Header =
+        serde_json::from_str(json).map_err(|e| format!("it is of another version of glimt: {e}"))?;
+    let file = SafeTensors::deserialize(bytes).map_err(container)?;
+    let take = |name: &str| -> Result<Vec<f32>, String> {
+        let view = file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
+        if view.dtype() != Dtype::F32 {
+            return Err(format!("the tensor \"{name}\" is {:?}, expected F32", view.dtype()));
+        }
+        Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+    };
+    let (numbers, first, second) = (take("numbers")?, take("first")?, take("second")?);
+    if first.len() != numbers.len() || second.len() != numbers.len() {
+        return Err("its tensors differ in length".into());
+    }
+    let state = State { numbers, moments: Moments { first, second }, step: header.step };
+    Ok(Checkpoint { options: header.options, materials: header.materials, state })
+}

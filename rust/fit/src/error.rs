@@ -1,0 +1,28 @@
+//! What can go wrong with a fit.
+
+use std::path::PathBuf;
+
+/// An error of a fit.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The options make no sense together, or with the materials.
+    #[error("{0}")]
+    Options(String),
+    /// A loss or a number became infinite or NaN.
+    #[error("the fit diverged at step {step}: a number is no longer finite; a lower --rate helps")]
+    Diverged {
+        /// The step.
+        step: u64,
+    },
+    /// A material has values that are not finite.
+    #[error("material \"{0}\" has values that are not finite, so nothing can be fitted to it")]
+    NotFinite(String),
+    /// The checkpoint cannot be read or written.
+    #[error("checkpoint {}: {reason}", path.display())]
+    Checkpoint {
+        /// The file.
+        path: PathBuf,
+        /// What was found and what was expected.
+        reason: String,
+    },
+}

@@ -1,0 +1,649 @@
+//! From materials to a model library.
+
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+use glimt_core::features::Inputs;
+use glimt_core::ggx::Ggx;
+use glimt_core::hybrid::{Composition, Form, Hybrid};
+use glimt_core::library::{Entry, Library, Origin};
+use glimt_core::microfacet::Microfacet;
+use glimt_core::network::{Activation, Network};
+use glimt_core::neural::{Neural, Shared};
+use glimt_core::{Brdf, Material};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
+
+use crate::adamw::AdamW;
+use crate::analytic;
+use crate::backprop::Shape;
+use crate::checkpoint::Checkpoint;
+use crate::error::Error;
+use crate::ggx::GgxObjective;
+use crate::hybrid::{HybridObjective, Sharing};
+use crate::loss::Loss;
+use crate::neural::NeuralObjective;
+use crate::objective::Objective;
+use crate::pairs::{self, Drawing, PairBlock};
+use crate::train::{Progress, Schedule, State, train};
+
+/// A material to fit to.
+pub struct Input<'a> {
+    /// Its name in the library.
+    pub name: String,
+    /// Its reflectance.
+    pub brdf: &'a dyn Brdf,
+    /// Whether it is the same in every azimuth.
+    pub isotropic: bool,
+    /// Where it came from.
+    pub origin: Origin,
+}
+
+/// A fit, in full: the same options on the same materials give the same library.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// What is fitted.
+    pub model: Model,
+    /// How long and how fast.
+    pub schedule: Schedule,
+}
+
+/// What is fitted.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Model {
+    /// The analytic BRDF alone.
+    Ggx(Loss),
+    /// The hybrid model.
+    Hybrid(HybridOptions),
+    /// The network-only baseline.
+    Neural(NeuralOptions),
+}
+
+/// Hidden layers of a network: width × number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Net {
+    /// Neurons in a layer.
+    pub width: usize,
+    /// Hidden layers.
+    pub layers: usize,
+}
+
+impl Net {
+    fn hidden(self) -> Vec<usize> {
+        vec![self.width; self.layers]
+    }
+}
+
+/// A hybrid fit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HybridOptions {
+    /// Hidden layers.
+    pub net: Net,
+    /// Numbers in the latent code; 0 where every material has its own network.
+    pub latent: usize,
+    /// Who has a network.
+    pub sharing: Sharing,
+    /// What the network sees.
+    pub inputs: InputChoice,
+    /// Whether it also sees ln f_a.
+    pub analytic_input: bool,
+    /// How f is made of its outputs.
+    pub composition: Composition,
+    /// Loss of f.
+    pub loss: Loss,
+    /// Loss of f_a.
+    pub analytic_loss: Option<Loss>,
+    /// Whether the loss of f moves k_d, η and α.
+    pub joint: bool,
+}
+
+/// What a network sees; the materials' symmetry decides the rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum InputChoice {
+    /// The Cartesian directions, as in the paper.
+    Cartesian,
+    /// Functions of half and difference vector.
+    HalfDifference,
+    /// The same, with f(l, v) = f(v, l) by construction.
+    Reciprocal,
+}
+
+impl InputChoice {
+    fn inputs(self, isotropic: bool) -> Inputs {
+        match (self, isotropic) {
+            (InputChoice::Cartesian, _) => Inputs::Cartesian,
+            (InputChoice::HalfDifference, true) => Inputs::Isotropic,
+            (InputChoice::HalfDifference, false) => Inputs::Anisotropic,
+            (InputChoice::Reciprocal, true) => Inputs::IsotropicReciprocal,
+            (InputChoice::Reciprocal, false) => Inputs::AnisotropicReciprocal,
+        }
+    }
+}
+
+/// Loss of glimt's fits, see [`Loss`].
+pub const DEFAULT_LOSS: Loss = Loss { absolute: 1.0, squared: 5.0, relative: 0.02 };
+/// Loss of the analytic part in glimt's fits.
+pub const DEFAULT_ANALYTIC_LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
+
+impl HybridOptions {
+    /// glimt's own recipe for a network shared by all materials.
+    #[must_use]
+    pub fn shared(net: Net, latent: usize) -> Self {
+        HybridOptions {
+            net,
+            latent,
+            sharing: Sharing::Library,
+            inputs: InputChoice::HalfDifference,
+            analytic_input: false,
+            composition: Composition::GatedResidual,
+            loss: DEFAULT_LOSS,
+            analytic_loss: Some(DEFAULT_ANALYTIC_LOSS),
+            joint: false,
+        }
+    }
+
+    /// glimt's recipe for a network per material.
+    #[must_use]
+    pub fn per_material(net: Net) -> Self {
+        HybridOptions { sharing: Sharing::Material, latent: 0, ..Self::shared(net, 0) }
+    }
+
+    /// The paper's inputs and loss.
+    #[must_use]
+    pub fn paper(net: Net, latent: usize) -> Self {
+        HybridOptions {
+            inputs: InputChoice::Cartesian,
+            loss: Loss::PAPER,
+            analytic_loss: Some(Loss::PAPER),
+            joint: true,
+            ..Self::shared(net, latent)
+        }
+    }
+
+    fn objective(&self, isotropic: bool) -> HybridObjective {
+        let form = Form {
+            inputs: self.inputs.inputs(isotropic),
+            analytic_input: self.analytic_input,
+            composition: self.composition,
+        };
+        let (inputs, outputs) = (form.features() + self.latent, self.composition.outputs());
+        HybridObjective {
+            sharing: self.sharing,
+            form,
+            shape: Shape::new(inputs, &self.net.hidden(), outputs, Activation::HardGelu),
+            latent: self.latent,
+            isotropic,
+            loss: self.loss,
+            analytic_loss: self.analytic_loss,
+            joint: self.joint,
+        }
+    }
+}
+
+/// A fit of the network-only baseline.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NeuralOptions {
+    /// Hidden layers.
+    pub net: Net,
+    /// Numbers in the latent code.
+    pub latent: usize,
+    /// Loss of f.
+    pub loss: Loss,
+}
+
+impl Schedule {
+    /// glimt's own schedule.
+    #[must_use]
+    pub fn standard(steps: u64, seed: u64) -> Self {
+        Schedule {
+            steps,
+            blocks: 4,
+            seed,
+            rate: 5e-3,
+            clip: 0.05,
+            adamw: AdamW { weight_decay: 0.0, ..AdamW::PAPER },
+            drawing: Drawing::Lobes,
+            freeze_shared: false,
+        }
+    }
+
+    /// The paper's schedule (§3.3): 1024 cosine-distributed pairs a step, gradients clipped at 0.01.
+    #[must_use]
+    pub fn paper(steps: u64, seed: u64) -> Self {
+        Schedule { clip: 0.01, adamw: AdamW::PAPER, drawing: Drawing::Cosine, ..Self::standard(steps, seed) }
+    }
+
+    /// The schedule for k_d, η and α alone, which need far fewer and longer steps.
+    fn analytic(drawing: Drawing, seed: u64) -> Self {
+        Schedule {
+            steps: 1500,
+            rate: 0.05,
+            clip: f32::INFINITY,
+            adamw: AdamW { beta2: 0.99, ..Self::standard(0, 0).adamw },
+            drawing,
+            ..Self::standard(0, seed)
+        }
+    }
+}
+
+/// How a fit ended.
+pub enum Outcome {
+    /// Every step is done.
+    Done(Vec<Entry>),
+    /// It was stopped, and can go on from here; `None` if there is nothing yet to go on from.
+    Stopped(Option<Checkpoint>),
+}
+
+/// Looks at a fit as it goes and may stop it.
+pub type Watch<'a> = dyn FnMut(&Progress, &State) -> ControlFlow<()> + 'a;
+
+/// Fits one library to all `inputs`; goes on from `resume` if it is given.
+///
+/// # Errors
+/// [`Error::Options`] for options that make no sense or a checkpoint of another fit,
+/// [`Error::NotFinite`], [`Error::Diverged`].
+pub fn fit(
+    inputs: &[Input],
+    options: &Options,
+    resume: Option<Checkpoint>,
+    watch: &mut Watch,
+) -> Result<Outcome, Error> {
+    check(inputs, options)?;
+    let brdfs: Vec<&dyn Brdf> = inputs.iter().map(|input| input.brdf).collect();
+    let isotropic = inputs.iter().all(|input| input.isotropic);
+    let materials = identities(inputs);
+    if let Some(checkpoint) = &resume {
+        if checkpoint.options != *options {
+            return Err(Error::Options(
+                "the checkpoint was made with other options; use the same ones".into(),
+            ));
+        }
+        if checkpoint.materials != materials {
+            return Err(Error::Options(
+                "the checkpoint was made with other materials; use the same files".into(),
+            ));
+        }
+    }
+    let resumed = resume.map(|checkpoint| checkpoint.state);
+    let stopped = |state: Option<State>| {
+        let checkpoint = |state| Checkpoint { options: options.clone(), materials, state };
+        Ok(Outcome::Stopped(state.map(checkpoint)))
+    };
+    let schedule = &options.schedule;
+    let made = match &options.model {
+        Model::Ggx(loss) => {
+            let Some(p) = fit_analytic(&brdfs, *loss, isotropic, schedule, watch) else {
+                return stopped(None);
+            };
+            p.iter().map(|p| Ggx::new(analytic::to_parameters(p)).map(Material::Ggx)).collect()
+        }
+        Model::Hybrid(hybrid) => {
+            let objective = hybrid.objective(isotropic);
+            let mut state = match resumed {
+                Some(state) => state,
+                None => {
+                    let loss = hybrid.analytic_loss.unwrap_or(hybrid.loss);
+                    let Some(p) = fit_analytic(&brdfs, loss, isotropic, schedule, watch) else {
+                        return stopped(None);
+                    };
+                    State::new(start(&objective, &p, schedule.seed))
+                }
+            };
+            if !run(&objective, &brdfs, schedule, &mut state, watch)? {
+                return stopped(Some(state));
+            }
+            hybrid_materials(&objective, &state.numbers, schedule)
+        }
+        Model::Neural(neural) => {
+            let objective =
+                NeuralObjective::new(&neural.net.hidden(), neural.latent, Activation::HardGelu, neural.loss);
+            let initial = || State::new(objective.initial(schedule.seed, inputs.len()));
+            let mut state = resumed.unwrap_or_else(initial);
+            if !run(&objective, &brdfs, schedule, &mut state, watch)? {
+                return stopped(Some(state));
+            }
+            neural_materials(&objective, &state.numbers, schedule)
+        }
+    };
+    let materials: Vec<Material> = made.map_err(|_| Error::Diverged { step: schedule.steps })?;
+    let entries = inputs.iter().zip(materials).map(|(input, material)| {
+        let origin =
+            Origin { seed: Some(schedule.seed), steps: Some(schedule.steps), ..input.origin.clone() };
+        Entry { name: input.name.clone(), material, origin }
+    });
+    Ok(Outcome::Done(entries.collect()))
+}
+
+fn identities(inputs: &[Input]) -> Vec<(String, String)> {
+    inputs.iter().map(|input| (input.name.clone(), input.origin.sha256.clone())).collect()
+}
+
+fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
+    let net = match &options.model {
+        Model::Ggx(_) => None,
+        Model::Hybrid(hybrid) => Some((hybrid.net, hybrid.latent)),
+        Model::Neural(neural) => Some((neural.net, neural.latent)),
+    };
+    if let Some((net, latent)) = net {
+        if !matches!(net.width, 16 | 32 | 64) || !matches!(net.layers, 2 | 3) {
+            let found = format!("{}x{}", net.width, net.layers);
+            return Err(Error::Options(format!(
+                "the network is {found}, expected 16, 32 or 64 times 2 or 3"
+            )));
+        }
+        const MOST_LATENT: usize = 32;
+        if latent > MOST_LATENT {
+            return Err(Error::Options(format!(
+                "the latent code has {latent} numbers, expected at most {MOST_LATENT}"
+            )));
+        }
+    }
+    check_materials(inputs)
+}
+
+fn check_materials(inputs: &[Input]) -> Result<(), Error> {
+    if inputs.is_empty() {
+        return Err(Error::Options("there is no material to fit to".into()));
+    }
+    let probe = pairs::draw(Drawing::Lobes, 0, 0, 4);
+    for input in inputs {
+        let targets = pairs::evaluate(input.brdf, &probe);
+        if !targets.as_flattened().as_flattened().as_flattened().iter().all(|f| f.is_finite()) {
+            return Err(Error::NotFinite(input.name.clone()));
+        }
+    }
+    Ok(())
+}
+
+/// [`train`], and whether its numbers are still finite.
+fn run<O: Objective>(
+    objective: &O,
+    brdfs: &[&dyn Brdf],
+    schedule: &Schedule,
+    state: &mut State,
+    watch: &mut Watch,
+) -> Result<bool, Error> {
+    let finished = train(objective, brdfs, schedule, state, watch);
+    if state.numbers.iter().all(|x| x.is_finite()) {
+        Ok(finished)
+    } else {
+        Err(Error::Diverged { step: state.step })
+    }
+}
+
+/// Roughnesses from which the analytic fit starts; the best end is kept.
+const START_ALPHAS: [f32; 3] = [0.05, 0.2, 0.5];
+
+/// The unbounded numbers of the best analytic fit of every material; `None` if it was stopped.
+fn fit_analytic(
+    brdfs: &[&dyn Brdf],
+    loss: Loss,
+    isotropic: bool,
+    schedule: &Schedule,
+    watch: &mut Watch,
+) -> Option<Vec<Vec<f32>>> {
+    let objective = GgxObjective { loss, isotropic };
+    let starts = START_ALPHAS.map(|alpha| {
+        let p = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [alpha; 2] };
+        analytic::from_parameters(&p, isotropic)
+    });
+    let candidates = vec![starts.to_vec(); brdfs.len()];
+    let schedule = Schedule::analytic(schedule.drawing, schedule.seed);
+    best_of(&objective, &[], brdfs, candidates, &schedule, watch)
+}
+
+/// Trains every material's own numbers from each of its candidates at once, and keeps the best.
+fn best_of<O: Objective>(
+    objective: &O,
+    shared: &[f32],
+    brdfs: &[&dyn Brdf],
+    candidates: Vec<Vec<Vec<f32>>>,
+    schedule: &Schedule,
+    watch: &mut Watch,
+) -> Option<Vec<Vec<f32>>> {
+    let owners: Vec<usize> =
+        candidates.iter().enumerate().flat_map(|(i, starts)| starts.iter().map(move |_| i)).collect();
+    let repeated: Vec<&dyn Brdf> = owners.iter().map(|&i| brdfs[i]).collect();
+    let numbers = shared.iter().copied().chain(candidates.into_iter().flatten().flatten()).collect();
+    let mut state = State::new(numbers);
+    if !train(objective, &repeated, schedule, &mut state, watch) {
+        return None;
+    }
+    let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
+    let mut best = vec![(f64::INFINITY, Vec::new()); brdfs.len()];
+    for (&owner, own) in owners.iter().zip(state.numbers[shared.len()..].chunks_exact(objective.own_len())) {
+        let loss = total_loss(objective, shared, own, brdfs[owner], &judge);
+        if loss < best[owner].0 {
+            best[owner] = (loss, own.to_vec());
+        }
+    }
+    // A loss that is NaN is never the best; its numbers are then refused as a material.
+    Some(best.into_iter().map(|(_, own)| own).collect())
+}
+
+/// Blocks of fresh pairs on which candidates are compared and bounds are taken.
+const JUDGE_BLOCKS: usize = 64;
+
+fn total_loss<O: Objective>(
+    objective: &O,
+    shared: &[f32],
+    own: &[f32],
+    brdf: &dyn Brdf,
+    judge: &[PairBlock],
+) -> f64 {
+    let mut workspace = objective.workspace();
+    let (mut unused_shared, mut unused_own) = (vec![0.0; shared.len()], vec![0.0; own.len()]);
+    pairs::evaluate(brdf, judge)
+        .iter()
+        .zip(judge)
+        .map(|(target, pairs)| {
+            objective.block(&mut workspace, shared, own, pairs, target, &mut unused_shared, &mut unused_own)
+        })
+        .sum()
+}
+
+/// The first numbers of a hybrid fit: random weights and codes, and the analytic fits.
+fn start(objective: &HybridObjective, p: &[Vec<f32>], seed: u64) -> Vec<f32> {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let mut numbers = Vec::new();
+    if objective.sharing == Sharing::Library {
+        numbers.extend(random_network(objective, &mut rng));
+    }
+    for p in p {
+        if objective.sharing == Sharing::Material {
+            numbers.extend(random_network(objective, &mut rng));
+        }
+        numbers.extend(p);
+        numbers.extend((0..objective.latent).map(|_| 0.5 * symmetric(&mut rng)));
+    }
+    numbers
+}
+
+fn symmetric(rng: &mut Pcg64) -> f32 {
+    2.0 * rng.random::<f32>() - 1.0
+}
+
+/// Weights and biases uniform in ±1/√inputs (PyTorch's default), and outputs that leave the
+/// analytic part nearly as it is: a small residual and an open gate.
+fn random_network(objective: &HybridObjective, rng: &mut Pcg64) -> Vec<f32> {
+    const RESIDUAL: f32 = -3.0;
+    const GATE: f32 = 1.0;
+    let shape = &objective.shape;
+    let mut numbers = Vec::with_capacity(shape.len());
+    for layer in 0..shape.layers() {
+        let (inputs, outputs) = shape.layer(layer);
+        let bound = 1.0 / (inputs as f32).sqrt();
+        numbers.extend((0..(inputs + 1) * outputs).map(|_| bound * symmetric(rng)));
+    }
+    let (_, bias) = shape.split_mut(&mut numbers, shape.layers() - 1);
+    if objective.form.composition == Composition::GatedResidual {
+        for c in 0..3 {
+            bias[c] += RESIDUAL;
+            bias[c + 3] += GATE;
+        }
+    }
+    numbers
+}
+
+/// Room above the largest residual that the fit saw, for pairs between those it saw.
+const BOUND_MARGIN: f32 = 0.1;
+
+fn hybrid_materials(
+    objective: &HybridObjective,
+    numbers: &[f32],
+    schedule: &Schedule,
+) -> Result<Vec<Material>, String> {
+    let (shared, own) = numbers.split_at(objective.shared_len());
+    let network = |numbers: &[f32]| {
+        let layers = objective.shape.to_layers(numbers);
+        Network::new(layers, objective.form.features(), Activation::HardGelu).map(Arc::new)
+    };
+    let library = match objective.sharing {
+        Sharing::Library => Some(network(shared)?),
+        Sharing::Material => None,
+    };
+    let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
+    own.chunks_exact(objective.own_len())
+        .map(|own| {
+            let parts = objective.split(shared, own);
+            let network = library.clone().map_or_else(|| network(parts.network), Ok)?;
+            let bound = objective.largest_residual(shared, own, &judge) + BOUND_MARGIN;
+            let p = analytic::to_parameters(parts.p);
+            Hybrid::new(objective.form, network, p, parts.z.to_vec(), bound).map(Material::Hybrid)
+        })
+        .collect()
+}
+
+fn neural_materials(
+    objective: &NeuralObjective,
+    numbers: &[f32],
+    schedule: &Schedule,
+) -> Result<Vec<Material>, String> {
+    let (shared, own) = numbers.split_at(objective.shared_len());
+    let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
+    let made: Arc<Shared> = Arc::new(objective.to_shared(shared)?);
+    own.chunks_exact(objective.own_len())
+        .map(|z| {
+            let bound = objective.largest_output(shared, z, &judge) + BOUND_MARGIN;
+            Neural::new(made.clone(), z.to_vec(), bound).map(Material::Neural)
+        })
+        .collect()
+}
+
+/// Steps of [`add`] when the caller has no other wish.
+pub const ADD_STEPS: u64 = 1500;
+
+/// Most codes of the library from which the code of a new material starts.
+const ADD_STARTS: usize = 4;
+
+/// The entries for new materials of a hybrid library whose network stays as it is: only z, k_d, η
+/// and α are fitted. `None` if it was stopped.
+///
+/// # Errors
+/// [`Error::Options`] if the library is not a hybrid one with a shared network, or if a material is
+/// anisotropic and the library is not; [`Error::NotFinite`], [`Error::Diverged`].
+pub fn add(
+    library: &Library,
+    inputs: &[Input],
+    steps: u64,
+    seed: u64,
+    watch: &mut Watch,
+) -> Result<Option<Vec<Entry>>, Error> {
+    let first = match &library.entries()[0].material {
+        Material::Hybrid(material) if !material.latent().is_empty() => material,
+        other => {
+            let kind = other.kind();
+            let reason = format!(
+                "{} holds {kind} materials without a shared network and latent codes, so none can be added; fit them anew",
+                library.path().display()
+            );
+            return Err(Error::Options(reason));
+        }
+    };
+    let form = first.form();
+    if let Some(input) = inputs.iter().find(|input| !input.isotropic && form.inputs.is_isotropic()) {
+        let reason = format!(
+            "\"{}\" is anisotropic, but the network of {} is isotropic by construction",
+            input.name,
+            library.path().display()
+        );
+        return Err(Error::Options(reason));
+    }
+    if let Some(input) = inputs.iter().find(|input| library.entry(Some(&input.name)).is_ok()) {
+        let reason = format!("{} already has a material \"{}\"", library.path().display(), input.name);
+        return Err(Error::Options(reason));
+    }
+    let paper = form.inputs == Inputs::Cartesian;
+    let recipe = HybridOptions::shared(Net { width: 0, layers: 0 }, first.latent().len());
+    let isotropic = inputs.iter().all(|input| input.isotropic);
+    let layers = first.network().layers();
+    let hidden: Vec<usize> = layers[..layers.len() - 1].iter().map(|layer| layer.outputs()).collect();
+    let objective = HybridObjective {
+        sharing: Sharing::Library,
+        form,
+        shape: Shape::new(layers[0].inputs(), &hidden, form.composition.outputs(), Activation::HardGelu),
+        latent: first.latent().len(),
+        isotropic,
+        loss: if paper { Loss::PAPER } else { recipe.loss },
+        analytic_loss: if paper { Some(Loss::PAPER) } else { recipe.analytic_loss },
+        joint: paper,
+    };
+    let options = Options {
+        model: Model::Hybrid(recipe),
+        schedule: Schedule { rate: 0.02, freeze_shared: true, ..Schedule::standard(steps, seed) },
+    };
+    let brdfs: Vec<&dyn Brdf> = inputs.iter().map(|input| input.brdf).collect();
+    check_materials(inputs)?;
+    let shared = Shape::from_layers(layers);
+    let loss = objective.analytic_loss.unwrap_or(objective.loss);
+    let Some(p) = fit_analytic(&brdfs, loss, isotropic, &options.schedule, watch) else { return Ok(None) };
+    let judge = pairs::draw(Drawing::Lobes, !seed, 0, 4);
+    let candidates =
+        p.iter().zip(&brdfs).map(|(p, brdf)| nearest_codes(&objective, &shared, p, library, *brdf, &judge));
+    let Some(own) = best_of(&objective, &shared, &brdfs, candidates.collect(), &options.schedule, watch)
+    else {
+        return Ok(None);
+    };
+    let numbers = [shared, own.concat()].concat();
+    let materials = hybrid_materials(&objective, &numbers, &options.schedule);
+    let materials = materials.map_err(|_| Error::Diverged { step: steps })?;
+    let entry = |(input, material): (&Input, Material)| {
+        // The library's own network, not an equal one: the file then stores it once.
+        let Material::Hybrid(made) = material else { unreachable!("hybrid_materials makes hybrids") };
+        let material = Hybrid::new(
+            form,
+            first.network().clone(),
+            *made.microfacet(),
+            made.latent().to_vec(),
+            made.bound(),
+        )
+        .expect("the same network and numbers made a material before");
+        let origin = Origin { seed: Some(seed), steps: Some(steps), ..input.origin.clone() };
+        Entry { name: input.name.clone(), material: Material::Hybrid(material), origin }
+    };
+    Ok(Some(inputs.iter().zip(materials).map(entry).collect()))
+}
+
+/// Starts for a new material: its analytic fit with the codes of the library that suit it best.
+fn nearest_codes(
+    objective: &HybridObjective,
+    shared: &[f32],
+    p: &[f32],
+    library: &Library,
+    brdf: &dyn Brdf,
+    judge: &[PairBlock],
+) -> Vec<Vec<f32>> {
+    let mut starts: Vec<(f64, Vec<f32>)> = library
+        .entries()
+        .iter()
+        .map(|entry| {
+            let own = [p, entry.material.latent()].concat();
+            (total_loss(objective, shared, &own, brdf, judge), own)
+        })
+        .collect();
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    starts.into_iter().take(ADD_STARTS).map(|(_, own)| own).collect()
+}

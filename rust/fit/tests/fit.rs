@@ -1,0 +1,249 @@
+//! Whole fits on materials that are known functions.
+
+use std::ops::ControlFlow;
+
+use glam::Vec3;
+use glimt_core::ggx::Ggx;
+use glimt_core::hybrid::Composition;
+use glimt_core::library::{Entry, Library, Origin};
+use glimt_core::microfacet::Microfacet;
+use glimt_core::{Brdf, Material, is_lit};
+use glimt_fit::checkpoint::Checkpoint;
+use glimt_fit::fit::{
+    DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions,
+    Options, Outcome, add, fit,
+};
+use glimt_fit::train::Schedule;
+
+/// A base, a lobe and a grazing sheen that no GGX lobe has.
+struct Velvet {
+    lobe: f32,
+    width: f32,
+}
+
+impl Brdf for Velvet {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        if !is_lit(light, view) {
+            return Vec3::ZERO;
+        }
+        let h = (light + view).normalize();
+        let lobe = self.lobe * (-(h.x * h.x + h.y * h.y) / (self.width * self.width)).exp();
+        let sheen = 0.3 * (1.0 - light.z * view.z).powi(6);
+        Vec3::new(0.05, 0.1, 0.2) + lobe * Vec3::new(1.0, 0.9, 0.7) + Vec3::splat(sheen)
+    }
+}
+
+/// Stretched along x.
+struct Brushed;
+
+impl Brdf for Brushed {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        if !is_lit(light, view) {
+            return Vec3::ZERO;
+        }
+        let h = (light + view).normalize();
+        Vec3::splat(0.05 + 2.0 * (-(h.x / 0.5).powi(2) - (h.y / 0.15).powi(2)).exp())
+    }
+}
+
+const TARGETS: [Velvet; 3] =
+    [Velvet { lobe: 2.0, width: 0.2 }, Velvet { lobe: 0.5, width: 0.4 }, Velvet { lobe: 5.0, width: 0.1 }];
+
+fn input<'a>(name: &str, brdf: &'a dyn Brdf, isotropic: bool) -> Input<'a> {
+    let origin = Origin { source: name.to_owned(), sha256: format!("hash of {name}"), ..Origin::default() };
+    Input { name: name.to_owned(), brdf, isotropic, origin }
+}
+
+fn velvets() -> Vec<Input<'static>> {
+    TARGETS.iter().enumerate().map(|(i, target)| input(&format!("velvet{i}"), target, true)).collect()
+}
+
+const NET: Net = Net { width: 16, layers: 2 };
+
+fn hybrid(hybrid: HybridOptions, steps: u64) -> Options {
+    Options { model: Model::Hybrid(hybrid), schedule: Schedule::standard(steps, 1) }
+}
+
+fn finish(inputs: &[Input], options: &Options) -> Vec<Entry> {
+    match fit(inputs, options, None, &mut |_, _| ControlFlow::Continue(())).unwrap() {
+        Outcome::Done(entries) => entries,
+        Outcome::Stopped(_) => panic!("nobody stopped the fit"),
+    }
+}
+
+/// Mean of |ln(1 + c f) − ln(1 + c g)| over fixed pairs.
+fn log_mae(truth: &dyn Brdf, model: &dyn Brdf) -> f64 {
+    let direction = |u: f32, v: f32| {
+        let (r, phi) = (u.fract().sqrt(), v.fract() * std::f32::consts::TAU);
+        Vec3::new(r * phi.cos(), r * phi.sin(), (1.0 - u.fract()).sqrt())
+    };
+    let n = 5000;
+    let sum: f64 = (0..n)
+        .map(|i| i as f32 + 0.5)
+        .map(|i| {
+            let (l, v) = (direction(i * 0.856_675, i * 0.733_892), direction(i * 0.628_707, i * 0.538_597));
+            let (f, g) = (truth.eval(l, v), model.eval(l, v));
+            let log = |f: Vec3| (Vec3::ONE + l.z * f).map(f32::ln);
+            f64::from((log(f) - log(g)).abs().element_sum()) / 3.0
+        })
+        .sum();
+    sum / f64::from(n)
+}
+
+#[test]
+fn ggx_finds_the_parameters_that_made_the_data() {
+    let truth = Microfacet { kd: [0.4, 0.2, 0.05], eta: [1.5, 1.9, 2.4], alpha: [0.15, 0.3] };
+    let material = Ggx::new(truth).unwrap();
+    let options = Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(0, 1) };
+    let entries = finish(&[input("truth", &material, false)], &options);
+    let found = entries[0].material.microfacet().unwrap();
+    let numbers = |m: &Microfacet| [&m.kd[..], &m.eta, &m.alpha].concat();
+    for (found, truth) in numbers(found).iter().zip(numbers(&truth)) {
+        assert!((found / truth - 1.0).abs() < 0.01, "{found} against {truth}");
+    }
+}
+
+#[test]
+fn hybrid_and_its_variants_come_closer_than_their_analytic_part() {
+    let shared = HybridOptions::shared(NET, 4);
+    let recipes = [
+        ("shared", shared, 4.0),
+        ("per material", HybridOptions::per_material(NET), 2.0),
+        ("reciprocal", HybridOptions { inputs: InputChoice::Reciprocal, ..shared }, 4.0),
+        ("paper", HybridOptions::paper(NET, 4), 1.5),
+        ("additive", HybridOptions { composition: Composition::Additive, ..shared }, 2.0),
+        ("log multiplicative", HybridOptions { composition: Composition::LogMultiplicative, ..shared }, 2.0),
+        ("analytic input", HybridOptions { analytic_input: true, ..shared }, 4.0),
+        ("no analytic loss", HybridOptions { analytic_loss: None, joint: true, ..shared }, 1.5),
+    ];
+    for (name, recipe, factor) in recipes {
+        let entries = finish(&velvets(), &hybrid(recipe, 600));
+        for (entry, target) in entries.iter().zip(&TARGETS) {
+            let analytic = Ggx::new(*entry.material.microfacet().unwrap()).unwrap();
+            let (whole, part) = (log_mae(target, &entry.material), log_mae(target, &analytic));
+            assert!(whole * factor < part, "{name}, {}: {whole} against {part}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn anisotropic_materials_get_two_roughnesses_and_a_closer_fit() {
+    let entries =
+        finish(&[input("brushed", &Brushed, false)], &hybrid(HybridOptions::per_material(NET), 600));
+    let [along, across] = entries[0].material.microfacet().unwrap().alpha;
+    assert!(along > 2.0 * across, "{along} {across}");
+    assert!(log_mae(&Brushed, &entries[0].material) < 0.02);
+}
+
+#[test]
+fn neural_baseline_learns() {
+    let neural = NeuralOptions { net: NET, latent: 12, loss: DEFAULT_LOSS };
+    let options = |steps| Options { model: Model::Neural(neural), schedule: Schedule::standard(steps, 1) };
+    let (few, many) = (finish(&velvets(), &options(20)), finish(&velvets(), &options(600)));
+    for ((few, many), target) in few.iter().zip(&many).zip(&TARGETS) {
+        let (before, after) = (log_mae(target, &few.material), log_mae(target, &many.material));
+        assert!(3.0 * after < before, "{}: {before} to {after}", many.name);
+    }
+}
+
+fn bytes(entries: Vec<Entry>) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("library.safetensors");
+    Library::new(&path, entries).unwrap().save().unwrap();
+    std::fs::read(path).unwrap()
+}
+
+#[test]
+fn a_seed_gives_one_file_on_any_number_of_threads() {
+    let options = hybrid(HybridOptions::shared(NET, 4), 120);
+    let on = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bytes(finish(&velvets(), &options)))
+    };
+    let one = on(1);
+    assert_eq!(one, on(3));
+    let other_seed = Options { schedule: Schedule::standard(120, 2), ..options.clone() };
+    assert_ne!(one, bytes(finish(&velvets(), &other_seed)));
+}
+
+#[test]
+fn a_fit_that_was_stopped_goes_on_to_the_same_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint");
+    let inputs = velvets();
+    // Past the end of an epoch of pairs, which are drawn anew.
+    let options = hybrid(HybridOptions::shared(NET, 4), 700);
+    let mut stop_at_550 = |progress: &glimt_fit::train::Progress, _: &_| {
+        if progress.steps == 700 && progress.step == 550 {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    };
+    let Outcome::Stopped(Some(checkpoint)) = fit(&inputs, &options, None, &mut stop_at_550).unwrap() else {
+        panic!("the fit was not stopped");
+    };
+    assert_eq!(checkpoint.state.step, 550);
+    checkpoint.save(&path).unwrap();
+    let read = Checkpoint::open(&path).unwrap();
+    assert_eq!(read, checkpoint);
+
+    let mut watch = |_: &_, _: &_| ControlFlow::Continue(());
+    let other = hybrid(HybridOptions::shared(NET, 4), 800);
+    let refused = fit(&inputs, &other, Some(read.clone()), &mut watch).err().unwrap().to_string();
+    assert!(refused.contains("other options"), "{refused}");
+    let refused = fit(&inputs[..2], &options, Some(read.clone()), &mut watch).err().unwrap().to_string();
+    assert!(refused.contains("other materials"), "{refused}");
+
+    let Outcome::Done(resumed) = fit(&inputs, &options, Some(read), &mut watch).unwrap() else { panic!() };
+    assert_eq!(bytes(resumed), bytes(finish(&inputs, &options)));
+
+    let broken = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &broken[..broken.len() / 2]).unwrap();
+    assert!(Checkpoint::open(&path).unwrap_err().to_string().contains("broken"));
+}
+
+#[test]
+fn add_leaves_the_network_and_comes_close_to_the_joint_fit() {
+    let inputs = velvets();
+    let joint = finish(&inputs, &hybrid(HybridOptions::shared(NET, 4), 1500));
+    let two = finish(&inputs[..2], &hybrid(HybridOptions::shared(NET, 4), 1500));
+    let library = Library::new("two", two).unwrap();
+    let mut watch = |_: &_, _: &_| ControlFlow::Continue(());
+    let added = add(&library, &inputs[2..], 600, 1, &mut watch).unwrap().unwrap();
+    let before = library.entries()[0].material.network().unwrap();
+    assert!(std::ptr::eq(before, added[0].material.network().unwrap()));
+    let analytic = Ggx::new(*added[0].material.microfacet().unwrap()).unwrap();
+    let error = |model: &dyn Brdf| log_mae(&TARGETS[2], model);
+    let (joint, added, part) = (error(&joint[2].material), error(&added[0].material), error(&analytic));
+    // The third lobe is narrower than any that the network of two has seen.
+    assert!(added < 0.7 * part && joint < added, "joint {joint}, added {added}, analytic part {part}");
+
+    let again = add(&library, &inputs[..1], 10, 1, &mut watch).err().unwrap().to_string();
+    assert!(again.contains("already has a material"), "{again}");
+    let brushed =
+        add(&library, &[input("brushed", &Brushed, false)], 10, 1, &mut watch).err().unwrap().to_string();
+    assert!(brushed.contains("isotropic by construction"), "{brushed}");
+}
+
+#[test]
+fn what_cannot_be_fitted_is_refused() {
+    struct Broken;
+    impl Brdf for Broken {
+        fn eval(&self, _: Vec3, _: Vec3) -> Vec3 {
+            Vec3::new(0.1, f32::NAN, 0.1)
+        }
+    }
+    let refused = |inputs: &[Input], recipe| {
+        fit(inputs, &hybrid(recipe, 10), None, &mut |_, _| ControlFlow::Continue(()))
+            .err()
+            .unwrap()
+            .to_string()
+    };
+    let good = HybridOptions::shared(NET, 4);
+    assert!(refused(&[], good).contains("no material"));
+    assert!(refused(&[input("broken", &Broken, true)], good).contains("\"broken\""));
+    let odd = HybridOptions { net: Net { width: 20, layers: 2 }, ..good };
+    assert!(refused(&velvets(), odd).contains("20x2"));
+    assert!(matches!(finish(&velvets()[..1], &hybrid(good, 10))[0].material, Material::Hybrid(_)));
+}
