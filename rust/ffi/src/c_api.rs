@@ -378,7 +378,7 @@ pub unsafe extern "C" fn glimt_material_edit(
         };
         let Some(mut microfacet) = material.material.microfacet().copied() else {
             return refused(format!(
-                "a {} material has no kd, eta or alpha to edit",
+                "{} materials have no kd, eta or alpha to edit",
                 material.material.kind()
             ));
         };

@@ -65,6 +65,6 @@ impl Library {
     }
 
     fn __repr__(&self) -> String {
-        format!("<glimt.Library {:?}: {}, {} materials>", self.source.path(), self.kind(), self.__len__())
+        format!("<glimt.Library {:?}: {} {:?}>", self.source.path(), self.kind(), self.materials())
     }
 }

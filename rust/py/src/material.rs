@@ -130,7 +130,7 @@ impl Material {
         let refused = |reason: String| error(format!("material \"{}\": {reason}", self.name));
         let editable = self.model().and_then(|material| Some((material, *material.microfacet()?)));
         let Some((material, mut microfacet)) = editable else {
-            return Err(refused(format!("a {} material has no kd, eta or alpha to edit", self.kind)));
+            return Err(refused(format!("{} materials have no kd, eta or alpha to edit", self.kind)));
         };
         microfacet.kd = kd.map_or(microfacet.kd, |kd| kd.each());
         microfacet.eta = eta.map_or(microfacet.eta, |eta| eta.each());

@@ -1,0 +1,86 @@
+from collections.abc import Iterator, Sequence
+from os import PathLike
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__version__: str
+
+Float32 = NDArray[np.float32]
+
+class Error(Exception):
+    """A file that cannot be used, a material that is not there, or a parameter out of its range."""
+
+def load(path: str | PathLike[str]) -> Library:
+    """Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights (.npz)."""
+
+class Library:
+    """The materials of a file. Immutable."""
+
+    @property
+    def materials(self) -> list[str]:
+        """Names of the materials in the file's order."""
+    @property
+    def kind(self) -> str:
+        """Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "merl", "rgl" or "utia"."""
+    @property
+    def path(self) -> PathLike[str]:
+        """The file that it was read from."""
+    def material(self, name: str | None = None) -> Material:
+        """The material of that name; the only one if no name is given."""
+    def __getitem__(self, name: str) -> Material: ...
+    def __contains__(self, name: str) -> bool: ...
+    def __iter__(self) -> Iterator[str]: ...
+    def __len__(self) -> int: ...
+
+class Material:
+    """A material: a fitted model, or a measured table as it is. Immutable.
+
+    Directions are unit vectors in the local frame with the normal +z, and point away from the surface:
+    ``light`` to where the energy comes from, ``view`` to where it goes. Arrays (n, 3), or (3,) for one;
+    one direction goes with many. float64 is converted to float32. The work is shared among all cores,
+    with the GIL released.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name."""
+    @property
+    def kind(self) -> str:
+        """Model or measured format, as in ``Library.kind``."""
+    @property
+    def kd(self) -> tuple[float, float, float] | None:
+        """Diffuse albedo, linear RGB; None where the model has no analytic part."""
+    @property
+    def eta(self) -> tuple[float, float, float] | None:
+        """Relative index of refraction per channel; None where the model has no analytic part."""
+    @property
+    def alpha(self) -> tuple[float, float] | None:
+        """GGX roughness along x and y; None where the model has no analytic part."""
+    @property
+    def latent(self) -> Float32:
+        """The latent code; empty where the model has none."""
+    def edit(
+        self,
+        *,
+        kd: float | Sequence[float] | None = None,
+        eta: float | Sequence[float] | None = None,
+        alpha: float | Sequence[float] | None = None,
+    ) -> Material:
+        """A copy with other parameters of its analytic part, and a sampler that follows them.
+
+        kd and eta take three numbers, alpha two, and each also one number for all.
+        """
+    def eval(self, light: ArrayLike, view: ArrayLike) -> Float32:
+        """f_r(light, view) in 1/sr, linear RGB, without the cosine: (n, 3), or (3,) for one pair.
+
+        Below the horizon, and for NaN, f is 0.
+        """
+    def pdf(self, light: ArrayLike, view: ArrayLike) -> Float32 | float:
+        """Density in 1/sr with which ``sample`` chooses ``light`` for ``view``: (n,), or a float."""
+    def sample(self, view: ArrayLike, u: ArrayLike) -> tuple[Float32, Float32 | float, Float32]:
+        """Light directions for ``view`` from random numbers ``u`` in [0, 1).
+
+        Returns (light, pdf, weight), where weight = f cos(theta_light) / pdf. A sample that failed has
+        pdf 0 and weight 0.
+        """
