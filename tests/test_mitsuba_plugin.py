@@ -242,6 +242,20 @@ def test_import_order_does_not_matter(libraries):
         assert "metal" in run.stdout, run.stderr
 
 
+def test_scene_with_many_materials_loads_in_parallel(libraries):
+    """In a new process, where the first of them checks the in-kernel call while the others wait."""
+    code = f"""
+import glimt, mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+bsdf = dict(type="glimt", filename={str(libraries["hybrid"])!r}, material="metal")
+spheres = {{f"s{{i}}": dict(type="sphere", bsdf=dict(bsdf, kd=i / 40)) for i in range(40)}}
+print(mi.load_dict(dict(type="scene", **spheres)))
+"""
+    for _ in range(3):
+        run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+        assert run.stdout.count("Glimt[") == 40, run.stderr
+
+
 @pytest.mark.parametrize(
     ("width", "way"), [(1, "traced"), (4, "in-kernel call"), (8, "in-kernel call"), (16, "in-kernel call")]
 )
@@ -264,3 +278,35 @@ print(bsdf, bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(0, -0.6, 0.8))[0][99])
     si.wi = [0, 0.6, 0.8]
     f = load(libraries["hybrid"], "metal").eval(mi.BSDFContext(), si, [0, -0.6, 0.8])
     assert np.isclose(float(run.stdout.split()[-1]), f[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_mono"])
+def test_frozen_rendering_follows_edits(libraries, variant):
+    mi.set_variant(variant)
+    bsdf = {"type": "glimt", "filename": str(libraries["hybrid"])}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 3},
+            "sensor": {
+                "type": "perspective",
+                "to_world": mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 16, "height": 16},
+            },
+            "left": {"type": "sphere", "center": [-1, 0, 0], "bsdf": {**bsdf, "material": "orange"}},
+            "right": {"type": "sphere", "center": [1, 0, 0], "bsdf": {**bsdf, "material": "metal"}},
+            "sky": {"type": "constant"},
+        }
+    )
+
+    def render(scene, seed):
+        return mi.render(scene, spp=4, seed=seed)
+
+    frozen = dr.freeze(render)
+    params = mi.traverse(scene)
+    for i in range(4):
+        params["left.bsdf.kd"] = mi.Color3f(0.2 * i, 0.5, 0.1)
+        params["left.bsdf.alpha"] = mi.Float(0.1 + 0.1 * i)
+        params.update()
+        image = np.array(frozen(scene, mi.UInt32(i)))
+        assert np.allclose(image, np.array(render(scene, mi.UInt32(i))), atol=1e-5), i

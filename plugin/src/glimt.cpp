@@ -1,3 +1,4 @@
+#include <atomic>
 #include <memory>
 #include <sstream>
 
@@ -351,12 +352,24 @@ private:
 
         if constexpr (HasKernelCall) {
             m_call.bind(m_material);
-            static const bool works = m_call.works();
-            if (!works)
+            m_call_works = kernel_call_works();
+        }
+    }
+
+    /// Checks the call from inside a kernel, the first time that it is asked.
+    bool kernel_call_works() const {
+        // No static initialiser, whose lock could be met again: Mitsuba loads scenes in parallel, and a
+        // thread that waits for the kernel of the check goes on with the construction of other BSDFs.
+        enum State { Unknown, Works, Fails };
+        static std::atomic<State> state { Unknown };
+        if (state == Unknown) {
+            const bool works = m_call.works();
+            State expected = Unknown;
+            if (state.compare_exchange_strong(expected, works ? Works : Fails) && !works)
                 Log(Warn, "The call from inside a kernel is not available (packets of %u lanes); the "
                           "model is traced instead, which is slower.", jit_llvm_vector_width());
-            m_call_works = works;
         }
+        return state == Works;
     }
 
     // ----- Evaluation -----
@@ -442,7 +455,7 @@ private:
     bool m_isotropic = true;
     FloatStorage m_latent;
 
-    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes.alpha, m_lobes.specular_weight)
+    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes, m_call, m_primaries)
 };
 
 MI_EXPORT_PLUGIN(Glimt)

@@ -21,8 +21,9 @@ namespace dr = drjit;
  *
  * The one place where a kernel of Dr.Jit 1.5 calls a foreign function is \c jit_llvm_ray_trace(),
  * which takes any function with the convention of Embree's \c rtcIntersectN(). rust/ffi/src/packet.rs
- * serves that convention: the "scene" is the material, the ray's origin the light direction, its
- * direction the view direction, and the answer comes back in u, v and the primitive's index.
+ * serves that convention: the ray's origin is the light direction, its direction the view direction,
+ * its id and flags are the material's address, and the answer comes back in u, v and the primitive's
+ * index. There is no scene.
  *
  * The call has no derivative. It is not the documented purpose of that function either, which is
  * why \ref works() compares it with direct calls before anybody relies on it.
@@ -46,28 +47,29 @@ public:
      * \brief Points the call to \c material
      *
      * Kernels run asynchronously and can outlive the BSDF that they were recorded from. The material is
-     * therefore kept by a JIT variable too, on which every recorded call depends, and let go once the
-     * kernels that were launched before the variable went have finished.
+     * therefore kept by the JIT variable that holds its address too, and let go once the kernels that
+     * were launched before the variable went have finished.
      */
     void bind(std::shared_ptr<const core::Material> material) {
-        m_material = material.get();
-        m_keeper = UInt64::map_((void *) m_material, 1, false);
+        auto owner = new Owner { (uint64_t) material.get(), material };
+        m_function = UInt64::map_((void *) core::eval_packet_address(width()), 1, false);
+        m_address = UInt64::map_(&owner->address, 1, false);
+        m_material = std::move(material);
         jit_var_set_callback(
-            m_keeper.index(),
+            m_address.index(),
             [](uint32_t /*index*/, int free, void *owner) {
                 if (free)
                     jit_enqueue_host_func(JitBackend::LLVM,
                                           [](void *o) { delete static_cast<Owner *>(o); }, owner);
             },
-            new Owner(std::move(material)));
+            owner);
     }
 
     /// f_r(light, view); 0 in the lanes that are not active.
     Color3f eval(const Vector3f &light, const Vector3f &view, const dr::mask_t<Float> &active) const {
-        auto function = UInt64::steal(jit_var_pointer(
-            JitBackend::LLVM, (void *) core::eval_packet_address(width()), 0, 0));
-        auto material = UInt64::steal(
-            jit_var_pointer(JitBackend::LLVM, (void *) m_material, m_keeper.index(), 0));
+        auto function = UInt64::steal(
+            jit_var_pointer(JitBackend::LLVM, m_function.data(), m_function.index(), 0));
+        UInt32 address_low(m_address), address_high(m_address >> 32);
         auto l = dr::detach<false>(light), v = dr::detach<false>(view);
         Bool lit = dr::detach<false>(active), coherent = false;
         Value unused = dr::zeros<Value>();
@@ -78,10 +80,11 @@ public:
                             unused.index(),                                           // Near end
                             v.x().index(),    v.y().index(), v.z().index(),           // Direction
                             unused.index(),   unused.index(),                         // Time, far end
-                            none.index(),     none.index(),  none.index() };          // Mask, id, flags
+                            none.index(),                                             // Mask
+                            address_low.index(), address_high.index() };              // Id, flags
         // Out: valid, t, u, v, primitive, geometry, instance, hit on an instance?
         uint32_t out[8];
-        jit_llvm_ray_trace(function.index(), material.index(), /* shadow_ray = */ 0, in, out);
+        jit_llvm_ray_trace(function.index(), /* scene = */ function.index(), /* shadow_ray = */ 0, in, out);
         Value red = Value::steal(out[2]), green = Value::steal(out[3]);
         Value blue = dr::reinterpret_array<Value>(UInt32::steal(out[4]));
         for (uint32_t i : { 0, 1, 5, 6, 7 })
@@ -127,11 +130,20 @@ public:
     }
 
 private:
-    using Owner = std::shared_ptr<const core::Material>;
+    /// What keeps a material, and the memory that the variable with its address maps.
+    struct Owner {
+        uint64_t address;
+        std::shared_ptr<const core::Material> material;
+    };
 
-    const core::Material *m_material = nullptr;
-    /// Its address, as the JIT variable that keeps it.
-    UInt64 m_keeper;
+    std::shared_ptr<const core::Material> m_material;
+    /// The function, as a variable of which only the pointer matters.
+    UInt64 m_function;
+    /// The material's address, as data.
+    UInt64 m_address;
+
+public:
+    DRJIT_TRAVERSE(KernelCall, m_function, m_address)
 };
 
 } // namespace glimt

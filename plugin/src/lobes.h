@@ -24,6 +24,8 @@ template <typename Float> struct TracedLobes {
     /// Probability of the GGX lobe.
     Float specular_weight;
 
+    DRJIT_TRAVERSE(TracedLobes, alpha, specular_weight)
+
     /// Density (sr⁻¹) of \c light, both directions above the horizon.
     Float pdf(const Vector3f &light, const Vector3f &view) const {
         using Microfacet = TracedMicrofacet<Float>;

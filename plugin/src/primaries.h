@@ -63,6 +63,9 @@ private:
     };
 
     Table m_table;
+
+public:
+    DRJIT_TRAVERSE(Primaries, m_table)
 };
 
 } // namespace glimt
