@@ -124,7 +124,7 @@ impl InputChoice {
 }
 
 /// Loss of glimt's fits, see [`Loss`].
-pub const DEFAULT_LOSS: Loss = Loss { absolute: 1.0, squared: 5.0, relative: 0.02 };
+pub const DEFAULT_LOSS: Loss = Loss { absolute: 1.0, squared: 10.0, relative: 0.02 };
 /// Loss of the analytic part in glimt's fits.
 pub const DEFAULT_ANALYTIC_LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
 
@@ -202,8 +202,8 @@ impl Schedule {
             steps,
             blocks: 4,
             seed,
-            rate: 5e-3,
-            clip: 0.05,
+            rate: 1e-2,
+            clip: 0.02,
             adamw: AdamW { weight_decay: 0.0, ..AdamW::PAPER },
             drawing: Drawing::Lobes,
             freeze_shared: false,
@@ -213,7 +213,13 @@ impl Schedule {
     /// The paper's schedule (§3.3): 1024 cosine-distributed pairs a step, gradients clipped at 0.01.
     #[must_use]
     pub fn paper(steps: u64, seed: u64) -> Self {
-        Schedule { clip: 0.01, adamw: AdamW::PAPER, drawing: Drawing::Cosine, ..Self::standard(steps, seed) }
+        Schedule {
+            rate: 5e-3,
+            clip: 0.01,
+            adamw: AdamW::PAPER,
+            drawing: Drawing::Cosine,
+            ..Self::standard(steps, seed)
+        }
     }
 
     /// The schedule for k_d, η and α alone, which need far fewer and longer steps.

@@ -3,7 +3,9 @@
 //! Errors are reported over cosine-distributed pairs, but few of those fall into a narrow lobe. Half
 //! of the lights are therefore drawn from GGX lobes of several widths about the mirror direction,
 //! and every pair carries the weight that makes sums over the mixture equal sums over the cosine
-//! distribution: lobes are seen often, and count what they should.
+//! distribution: lobes are seen often, and count what they should. To that weight comes a small
+//! constant, without which the tip of a narrow lobe, which renders as a highlight, counts next to
+//! nothing.
 
 use std::f32::consts::{FRAC_1_PI, TAU};
 
@@ -24,7 +26,8 @@ pub struct PairBlock {
     pub light: [Row; 3],
     /// Directions to the viewer, [component].
     pub view: [Row; 3],
-    /// Weight of each pair: its density under the cosine distribution over that under the mixture.
+    /// Weight of each pair: its density under the cosine distribution over that under the mixture,
+    /// and a little more, see above.
     pub weight: Row,
 }
 
@@ -49,7 +52,11 @@ pub enum Drawing {
 }
 
 /// Roughnesses of the lobes that lights are drawn from.
-const LOBE_ALPHAS: [f32; 3] = [0.03, 0.1, 0.3];
+const LOBE_ALPHAS: [f32; 4] = [0.01, 0.03, 0.1, 0.3];
+
+/// What every pair of a mixture counts besides its weight. On the reference materials it halved the
+/// RMSE at no cost in log-MAE; four times as much cost a tenth of log-MAE.
+const TIP_WEIGHT: f32 = 0.005;
 
 /// `count` blocks of pairs, by the seed alone: the same whatever ran before, on any machine.
 ///
@@ -108,7 +115,7 @@ fn pair(drawing: Drawing, u: [f32; 5]) -> (Vec3, Vec3, f32) {
     let specular: f32 =
         LOBE_ALPHAS.iter().map(|&a| Lobes { alpha: [a; 2], specular_weight: 1.0 }.pdf(light, view)).sum();
     let pdf = (1.0 - share) * diffuse + share * specular / LOBE_ALPHAS.len() as f32;
-    (light, view, diffuse / pdf)
+    (light, view, diffuse / pdf + TIP_WEIGHT)
 }
 
 fn cosine(u1: f32, u2: f32) -> Vec3 {
@@ -141,13 +148,13 @@ pub fn evaluate(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
 mod tests {
     use super::*;
 
-    fn mean(blocks: &[PairBlock], value: impl Fn(Vec3, Vec3) -> f64) -> f64 {
+    fn mean(blocks: &[PairBlock], constant: f32, value: impl Fn(Vec3, Vec3) -> f64) -> f64 {
         let mut sum = 0.0;
         for b in blocks {
             for i in 0..BLOCK {
                 let (c, l) = (i / LANES, i % LANES);
                 let at = |rows: &[Row; 3]| Vec3::new(rows[0][c][l], rows[1][c][l], rows[2][c][l]);
-                sum += f64::from(b.weight[c][l]) * value(at(&b.light), at(&b.view));
+                sum += f64::from((b.weight[c][l] - constant).max(0.0)) * value(at(&b.light), at(&b.view));
             }
         }
         sum / (blocks.len() * BLOCK) as f64
@@ -163,10 +170,10 @@ mod tests {
             ("cos light", |l, _| l.z.into()),
             ("cos view · x", |l, v| f64::from(v.z * l.x * l.x)),
         ] {
-            let (a, b) = (mean(&cosine, value), mean(&lobes, value));
+            let (a, b) = (mean(&cosine, 0.0, value), mean(&lobes, TIP_WEIGHT, value));
             assert!((a - b).abs() < 4e-3 * a.abs().max(0.1), "{name}: {a} and {b}");
         }
-        let (a, b) = (mean(&cosine, sharp), mean(&lobes, sharp));
+        let (a, b) = (mean(&cosine, 0.0, sharp), mean(&lobes, TIP_WEIGHT, sharp));
         assert!((a / b - 1.0).abs() < 0.05, "sharp lobe: {a} and {b}");
     }
 
