@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::adamw::Moments;
 use crate::error::Error;
-use crate::fit::Options;
+use crate::options::Options;
 use crate::train::State;
 
 /// A fit that can go on.

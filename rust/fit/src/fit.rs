@@ -3,21 +3,17 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
-use glimt_core::hybrid::{Composition, Form, Hybrid};
-use glimt_core::library::{Entry, Library, Origin};
+use glimt_core::hybrid::{Composition, Hybrid};
+use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::network::{Activation, Network};
 use glimt_core::neural::{Neural, Shared};
 use glimt_core::{Brdf, Material};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-use serde::{Deserialize, Serialize};
 
-use crate::adamw::AdamW;
 use crate::analytic;
-use crate::backprop::Shape;
 use crate::checkpoint::Checkpoint;
 use crate::error::Error;
 use crate::ggx::GgxObjective;
@@ -25,6 +21,7 @@ use crate::hybrid::{HybridObjective, Sharing};
 use crate::loss::Loss;
 use crate::neural::NeuralObjective;
 use crate::objective::Objective;
+use crate::options::{Model, Options};
 use crate::pairs::{self, Drawing, PairBlock};
 use crate::train::{Progress, Schedule, State, train};
 
@@ -38,201 +35,6 @@ pub struct Input<'a> {
     pub isotropic: bool,
     /// Where it came from.
     pub origin: Origin,
-}
-
-/// A fit, in full: the same options on the same materials give the same library.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Options {
-    /// What is fitted.
-    pub model: Model,
-    /// How long and how fast.
-    pub schedule: Schedule,
-}
-
-/// What is fitted.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Model {
-    /// The analytic BRDF alone.
-    Ggx(Loss),
-    /// The hybrid model.
-    Hybrid(HybridOptions),
-    /// The network-only baseline.
-    Neural(NeuralOptions),
-}
-
-/// Hidden layers of a network: width × number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Net {
-    /// Neurons in a layer.
-    pub width: usize,
-    /// Hidden layers.
-    pub layers: usize,
-}
-
-impl Net {
-    fn hidden(self) -> Vec<usize> {
-        vec![self.width; self.layers]
-    }
-}
-
-/// A hybrid fit.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct HybridOptions {
-    /// Hidden layers.
-    pub net: Net,
-    /// Numbers in the latent code; 0 where every material has its own network.
-    pub latent: usize,
-    /// Who has a network.
-    pub sharing: Sharing,
-    /// What the network sees.
-    pub inputs: InputChoice,
-    /// Whether it also sees ln f_a.
-    pub analytic_input: bool,
-    /// How f is made of its outputs.
-    pub composition: Composition,
-    /// Loss of f.
-    pub loss: Loss,
-    /// Loss of f_a.
-    pub analytic_loss: Option<Loss>,
-    /// Whether the loss of f moves k_d, η and α.
-    pub joint: bool,
-}
-
-/// What a network sees; the materials' symmetry decides the rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum InputChoice {
-    /// The Cartesian directions, as in the paper.
-    Cartesian,
-    /// Functions of half and difference vector.
-    HalfDifference,
-    /// The same, with f(l, v) = f(v, l) by construction.
-    Reciprocal,
-}
-
-impl InputChoice {
-    fn inputs(self, isotropic: bool) -> Inputs {
-        match (self, isotropic) {
-            (InputChoice::Cartesian, _) => Inputs::Cartesian,
-            (InputChoice::HalfDifference, true) => Inputs::Isotropic,
-            (InputChoice::HalfDifference, false) => Inputs::Anisotropic,
-            (InputChoice::Reciprocal, true) => Inputs::IsotropicReciprocal,
-            (InputChoice::Reciprocal, false) => Inputs::AnisotropicReciprocal,
-        }
-    }
-}
-
-/// Loss of glimt's fits, see [`Loss`].
-pub const DEFAULT_LOSS: Loss = Loss { absolute: 1.0, squared: 10.0, relative: 0.02 };
-/// Loss of the analytic part in glimt's fits.
-pub const DEFAULT_ANALYTIC_LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
-
-impl HybridOptions {
-    /// glimt's own recipe for a network shared by all materials.
-    #[must_use]
-    pub fn shared(net: Net, latent: usize) -> Self {
-        HybridOptions {
-            net,
-            latent,
-            sharing: Sharing::Library,
-            inputs: InputChoice::HalfDifference,
-            analytic_input: false,
-            composition: Composition::GatedResidual,
-            loss: DEFAULT_LOSS,
-            analytic_loss: Some(DEFAULT_ANALYTIC_LOSS),
-            joint: false,
-        }
-    }
-
-    /// glimt's recipe for a network per material.
-    #[must_use]
-    pub fn per_material(net: Net) -> Self {
-        HybridOptions { sharing: Sharing::Material, latent: 0, ..Self::shared(net, 0) }
-    }
-
-    /// The paper's inputs and loss.
-    #[must_use]
-    pub fn paper(net: Net, latent: usize) -> Self {
-        HybridOptions {
-            inputs: InputChoice::Cartesian,
-            loss: Loss::PAPER,
-            analytic_loss: Some(Loss::PAPER),
-            joint: true,
-            ..Self::shared(net, latent)
-        }
-    }
-
-    fn objective(&self, isotropic: bool) -> HybridObjective {
-        let form = Form {
-            inputs: self.inputs.inputs(isotropic),
-            analytic_input: self.analytic_input,
-            composition: self.composition,
-        };
-        let (inputs, outputs) = (form.features() + self.latent, self.composition.outputs());
-        HybridObjective {
-            sharing: self.sharing,
-            form,
-            shape: Shape::new(inputs, &self.net.hidden(), outputs, Activation::HardGelu),
-            latent: self.latent,
-            isotropic,
-            loss: self.loss,
-            analytic_loss: self.analytic_loss,
-            joint: self.joint,
-        }
-    }
-}
-
-/// A fit of the network-only baseline.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct NeuralOptions {
-    /// Hidden layers.
-    pub net: Net,
-    /// Numbers in the latent code.
-    pub latent: usize,
-    /// Loss of f.
-    pub loss: Loss,
-}
-
-impl Schedule {
-    /// glimt's own schedule.
-    #[must_use]
-    pub fn standard(steps: u64, seed: u64) -> Self {
-        Schedule {
-            steps,
-            blocks: 4,
-            seed,
-            rate: 1e-2,
-            clip: 0.02,
-            adamw: AdamW { weight_decay: 0.0, ..AdamW::PAPER },
-            drawing: Drawing::Lobes,
-            freeze_shared: false,
-        }
-    }
-
-    /// The paper's schedule (§3.3): 1024 cosine-distributed pairs a step, gradients clipped at 0.01.
-    #[must_use]
-    pub fn paper(steps: u64, seed: u64) -> Self {
-        Schedule {
-            rate: 5e-3,
-            clip: 0.01,
-            adamw: AdamW::PAPER,
-            drawing: Drawing::Cosine,
-            ..Self::standard(steps, seed)
-        }
-    }
-
-    /// The schedule for k_d, η and α alone, which need far fewer and longer steps.
-    fn analytic(drawing: Drawing, seed: u64) -> Self {
-        Schedule {
-            steps: 1500,
-            rate: 0.05,
-            clip: f32::INFINITY,
-            adamw: AdamW { beta2: 0.99, ..Self::standard(0, 0).adamw },
-            drawing,
-            ..Self::standard(0, seed)
-        }
-    }
 }
 
 /// How a fit ended.
@@ -350,7 +152,7 @@ fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
     check_materials(inputs)
 }
 
-fn check_materials(inputs: &[Input]) -> Result<(), Error> {
+pub(crate) fn check_materials(inputs: &[Input]) -> Result<(), Error> {
     if inputs.is_empty() {
         return Err(Error::Options("there is no material to fit to".into()));
     }
@@ -365,7 +167,7 @@ fn check_materials(inputs: &[Input]) -> Result<(), Error> {
 }
 
 /// [`train`], and whether its numbers are still finite.
-fn run<O: Objective>(
+pub(crate) fn run<O: Objective>(
     objective: &O,
     brdfs: &[&dyn Brdf],
     schedule: &Schedule,
@@ -384,7 +186,7 @@ fn run<O: Objective>(
 const START_ALPHAS: [f32; 3] = [0.05, 0.2, 0.5];
 
 /// The unbounded numbers of the best analytic fit of every material; `None` if it was stopped.
-fn fit_analytic(
+pub(crate) fn fit_analytic(
     brdfs: &[&dyn Brdf],
     loss: Loss,
     isotropic: bool,
@@ -402,7 +204,7 @@ fn fit_analytic(
 }
 
 /// Trains every material's own numbers from each of its candidates at once, and keeps the best.
-fn best_of<O: Objective>(
+pub(crate) fn best_of<O: Objective>(
     objective: &O,
     shared: &[f32],
     brdfs: &[&dyn Brdf],
@@ -433,7 +235,7 @@ fn best_of<O: Objective>(
 /// Blocks of fresh pairs on which candidates are compared and bounds are taken.
 const JUDGE_BLOCKS: usize = 64;
 
-fn total_loss<O: Objective>(
+pub(crate) fn total_loss<O: Objective>(
     objective: &O,
     shared: &[f32],
     own: &[f32],
@@ -497,7 +299,7 @@ fn random_network(objective: &HybridObjective, rng: &mut Pcg64) -> Vec<f32> {
 /// Room above the largest residual that the fit saw, for pairs between those it saw.
 const BOUND_MARGIN: f32 = 0.1;
 
-fn hybrid_materials(
+pub(crate) fn hybrid_materials(
     objective: &HybridObjective,
     numbers: &[f32],
     schedule: &Schedule,
@@ -537,119 +339,4 @@ fn neural_materials(
             Neural::new(made.clone(), z.to_vec(), bound).map(Material::Neural)
         })
         .collect()
-}
-
-/// Steps of [`add`] when the caller has no other wish.
-pub const ADD_STEPS: u64 = 1500;
-
-/// Most codes of the library from which the code of a new material starts.
-const ADD_STARTS: usize = 4;
-
-/// The entries for new materials of a hybrid library whose network stays as it is: only z, k_d, η
-/// and α are fitted. `None` if it was stopped.
-///
-/// # Errors
-/// [`Error::Options`] if the library is not a hybrid one with a shared network, or if a material is
-/// anisotropic and the library is not; [`Error::NotFinite`], [`Error::Diverged`].
-pub fn add(
-    library: &Library,
-    inputs: &[Input],
-    steps: u64,
-    seed: u64,
-    watch: &mut Watch,
-) -> Result<Option<Vec<Entry>>, Error> {
-    let first = match &library.entries()[0].material {
-        Material::Hybrid(material) if !material.latent().is_empty() => material,
-        other => {
-            let kind = other.kind();
-            let reason = format!(
-                "{} holds {kind} materials without a shared network and latent codes, so none can be added; fit them anew",
-                library.path().display()
-            );
-            return Err(Error::Options(reason));
-        }
-    };
-    let form = first.form();
-    if let Some(input) = inputs.iter().find(|input| !input.isotropic && form.inputs.is_isotropic()) {
-        let reason = format!(
-            "\"{}\" is anisotropic, but the network of {} is isotropic by construction",
-            input.name,
-            library.path().display()
-        );
-        return Err(Error::Options(reason));
-    }
-    if let Some(input) = inputs.iter().find(|input| library.entry(Some(&input.name)).is_ok()) {
-        let reason = format!("{} already has a material \"{}\"", library.path().display(), input.name);
-        return Err(Error::Options(reason));
-    }
-    let paper = form.inputs == Inputs::Cartesian;
-    let recipe = HybridOptions::shared(Net { width: 0, layers: 0 }, first.latent().len());
-    let isotropic = inputs.iter().all(|input| input.isotropic);
-    let layers = first.network().layers();
-    let hidden: Vec<usize> = layers[..layers.len() - 1].iter().map(|layer| layer.outputs()).collect();
-    let objective = HybridObjective {
-        sharing: Sharing::Library,
-        form,
-        shape: Shape::new(layers[0].inputs(), &hidden, form.composition.outputs(), Activation::HardGelu),
-        latent: first.latent().len(),
-        isotropic,
-        loss: if paper { Loss::PAPER } else { recipe.loss },
-        analytic_loss: if paper { Some(Loss::PAPER) } else { recipe.analytic_loss },
-        joint: paper,
-    };
-    let options = Options {
-        model: Model::Hybrid(recipe),
-        schedule: Schedule { rate: 0.02, freeze_shared: true, ..Schedule::standard(steps, seed) },
-    };
-    let brdfs: Vec<&dyn Brdf> = inputs.iter().map(|input| input.brdf).collect();
-    check_materials(inputs)?;
-    let shared = Shape::from_layers(layers);
-    let loss = objective.analytic_loss.unwrap_or(objective.loss);
-    let Some(p) = fit_analytic(&brdfs, loss, isotropic, &options.schedule, watch) else { return Ok(None) };
-    let judge = pairs::draw(Drawing::Lobes, !seed, 0, 4);
-    let candidates =
-        p.iter().zip(&brdfs).map(|(p, brdf)| nearest_codes(&objective, &shared, p, library, *brdf, &judge));
-    let Some(own) = best_of(&objective, &shared, &brdfs, candidates.collect(), &options.schedule, watch)
-    else {
-        return Ok(None);
-    };
-    let numbers = [shared, own.concat()].concat();
-    let materials = hybrid_materials(&objective, &numbers, &options.schedule);
-    let materials = materials.map_err(|_| Error::Diverged { step: steps })?;
-    let entry = |(input, material): (&Input, Material)| {
-        // The library's own network, not an equal one: the file then stores it once.
-        let Material::Hybrid(made) = material else { unreachable!("hybrid_materials makes hybrids") };
-        let material = Hybrid::new(
-            form,
-            first.network().clone(),
-            *made.microfacet(),
-            made.latent().to_vec(),
-            made.bound(),
-        )
-        .expect("the same network and numbers made a material before");
-        let origin = Origin { seed: Some(seed), steps: Some(steps), ..input.origin.clone() };
-        Entry { name: input.name.clone(), material: Material::Hybrid(material), origin }
-    };
-    Ok(Some(inputs.iter().zip(materials).map(entry).collect()))
-}
-
-/// Starts for a new material: its analytic fit with the codes of the library that suit it best.
-fn nearest_codes(
-    objective: &HybridObjective,
-    shared: &[f32],
-    p: &[f32],
-    library: &Library,
-    brdf: &dyn Brdf,
-    judge: &[PairBlock],
-) -> Vec<Vec<f32>> {
-    let mut starts: Vec<(f64, Vec<f32>)> = library
-        .entries()
-        .iter()
-        .map(|entry| {
-            let own = [p, entry.material.latent()].concat();
-            (total_loss(objective, shared, &own, brdf, judge), own)
-        })
-        .collect();
-    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    starts.into_iter().take(ADD_STARTS).map(|(_, own)| own).collect()
 }

@@ -1,6 +1,12 @@
 //! Fitting glimt's models to measured or simulated reflectance.
+//!
+//! [`fit()`] makes a library of materials, [`add()`] adds some to one. Below them, in reading order:
+//! [`options`], [`train`] (the loop), [`objective`] with [`ggx`], [`hybrid`] and [`neural`] (the models
+//! as functions of numbers, with hand-written gradients), [`backprop`], [`analytic`], [`pairs`],
+//! [`loss`], [`adamw`].
 
 pub mod adamw;
+pub mod add;
 pub mod analytic;
 pub mod backprop;
 pub mod checkpoint;
@@ -11,5 +17,11 @@ pub mod hybrid;
 pub mod loss;
 pub mod neural;
 pub mod objective;
+pub mod options;
 pub mod pairs;
 pub mod train;
+
+pub use add::add;
+pub use error::Error;
+pub use fit::{Input, Outcome, Watch, fit};
+pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options};

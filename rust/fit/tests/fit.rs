@@ -9,11 +9,9 @@ use glimt_core::library::{Entry, Library, Origin};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::{Brdf, Material, is_lit};
 use glimt_fit::checkpoint::Checkpoint;
-use glimt_fit::fit::{
-    DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions,
-    Options, Outcome, add, fit,
-};
+use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
 use glimt_fit::train::Schedule;
+use glimt_fit::{HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, add, fit};
 
 /// A base, a lobe and a grazing sheen that no GGX lobe has.
 struct Velvet {

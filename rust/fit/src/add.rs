@@ -1,0 +1,128 @@
+//! New materials for a finished library: the network stays, z, k_d, η and α are fitted (the paper,
+//! §4.2, "sparse training").
+
+use glimt_core::features::Inputs;
+use glimt_core::hybrid::Hybrid;
+use glimt_core::library::{Entry, Library, Origin};
+use glimt_core::network::Activation;
+use glimt_core::{Brdf, Material};
+
+use crate::backprop::Shape;
+use crate::error::Error;
+use crate::fit::{Input, Watch, best_of, check_materials, fit_analytic, hybrid_materials, total_loss};
+use crate::hybrid::{HybridObjective, Sharing};
+use crate::loss::Loss;
+use crate::options::{HybridOptions, Net};
+use crate::pairs::{self, Drawing, PairBlock};
+use crate::train::Schedule;
+
+/// Steps of [`add`] when the caller has no other wish.
+pub const ADD_STEPS: u64 = 1500;
+
+/// Most codes of the library from which the code of a new material starts.
+const ADD_STARTS: usize = 4;
+
+/// The entries for new materials of a hybrid library whose network stays as it is: only z, k_d, η
+/// and α are fitted. `None` if it was stopped.
+///
+/// # Errors
+/// [`Error::Options`] if the library is not a hybrid one with a shared network, or if a material is
+/// anisotropic and the library is not; [`Error::NotFinite`], [`Error::Diverged`].
+pub fn add(
+    library: &Library,
+    inputs: &[Input],
+    steps: u64,
+    seed: u64,
+    watch: &mut Watch,
+) -> Result<Option<Vec<Entry>>, Error> {
+    let first = match &library.entries()[0].material {
+        Material::Hybrid(material) if !material.latent().is_empty() => material,
+        other => {
+            let kind = other.kind();
+            let reason = format!(
+                "{} holds {kind} materials without a shared network and latent codes, so none can be added; fit them anew",
+                library.path().display()
+            );
+            return Err(Error::Options(reason));
+        }
+    };
+    let form = first.form();
+    if let Some(input) = inputs.iter().find(|input| !input.isotropic && form.inputs.is_isotropic()) {
+        let reason = format!(
+            "\"{}\" is anisotropic, but the network of {} is isotropic by construction",
+            input.name,
+            library.path().display()
+        );
+        return Err(Error::Options(reason));
+    }
+    if let Some(input) = inputs.iter().find(|input| library.entry(Some(&input.name)).is_ok()) {
+        let reason = format!("{} already has a material \"{}\"", library.path().display(), input.name);
+        return Err(Error::Options(reason));
+    }
+    let paper = form.inputs == Inputs::Cartesian;
+    let recipe = HybridOptions::shared(Net { width: 0, layers: 0 }, first.latent().len());
+    let isotropic = inputs.iter().all(|input| input.isotropic);
+    let layers = first.network().layers();
+    let hidden: Vec<usize> = layers[..layers.len() - 1].iter().map(|layer| layer.outputs()).collect();
+    let objective = HybridObjective {
+        sharing: Sharing::Library,
+        form,
+        shape: Shape::new(layers[0].inputs(), &hidden, form.composition.outputs(), Activation::HardGelu),
+        latent: first.latent().len(),
+        isotropic,
+        loss: if paper { Loss::PAPER } else { recipe.loss },
+        analytic_loss: if paper { Some(Loss::PAPER) } else { recipe.analytic_loss },
+        joint: paper,
+    };
+    let schedule = Schedule { rate: 0.02, freeze_shared: true, ..Schedule::standard(steps, seed) };
+    let brdfs: Vec<&dyn Brdf> = inputs.iter().map(|input| input.brdf).collect();
+    check_materials(inputs)?;
+    let shared = Shape::from_layers(layers);
+    let loss = objective.analytic_loss.unwrap_or(objective.loss);
+    let Some(p) = fit_analytic(&brdfs, loss, isotropic, &schedule, watch) else { return Ok(None) };
+    let judge = pairs::draw(Drawing::Lobes, !seed, 0, 4);
+    let candidates =
+        p.iter().zip(&brdfs).map(|(p, brdf)| nearest_codes(&objective, &shared, p, library, *brdf, &judge));
+    let Some(own) = best_of(&objective, &shared, &brdfs, candidates.collect(), &schedule, watch) else {
+        return Ok(None);
+    };
+    let numbers = [shared, own.concat()].concat();
+    let materials = hybrid_materials(&objective, &numbers, &schedule);
+    let materials = materials.map_err(|_| Error::Diverged { step: steps })?;
+    let entry = |(input, material): (&Input, Material)| {
+        // The library's own network, not an equal one: the file then stores it once.
+        let Material::Hybrid(made) = material else { unreachable!("hybrid_materials makes hybrids") };
+        let material = Hybrid::new(
+            form,
+            first.network().clone(),
+            *made.microfacet(),
+            made.latent().to_vec(),
+            made.bound(),
+        )
+        .expect("the same network and numbers made a material before");
+        let origin = Origin { seed: Some(seed), steps: Some(steps), ..input.origin.clone() };
+        Entry { name: input.name.clone(), material: Material::Hybrid(material), origin }
+    };
+    Ok(Some(inputs.iter().zip(materials).map(entry).collect()))
+}
+
+/// Starts for a new material: its analytic fit with the codes of the library that suit it best.
+fn nearest_codes(
+    objective: &HybridObjective,
+    shared: &[f32],
+    p: &[f32],
+    library: &Library,
+    brdf: &dyn Brdf,
+    judge: &[PairBlock],
+) -> Vec<Vec<f32>> {
+    let mut starts: Vec<(f64, Vec<f32>)> = library
+        .entries()
+        .iter()
+        .map(|entry| {
+            let own = [p, entry.material.latent()].concat();
+            (total_loss(objective, shared, &own, brdf, judge), own)
+        })
+        .collect();
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    starts.into_iter().take(ADD_STARTS).map(|(_, own)| own).collect()
+}
