@@ -169,19 +169,21 @@ fn a_fit_that_was_stopped_goes_on_to_the_same_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("checkpoint");
     let inputs = velvets();
-    // Past the end of an epoch of pairs, which are drawn anew.
-    let options = hybrid(HybridOptions::shared(NET, 4), 700);
-    let mut stop_at_550 = |progress: &glimt_fit::train::Progress, _: &_| {
-        if progress.steps == 700 && progress.step == 550 {
+    // Past the end of an epoch of pairs (2048 steps), which are then drawn anew.
+    let options = hybrid(HybridOptions::shared(NET, 4), 2100);
+    let mut stop_in_the_second_epoch = |progress: &glimt_fit::train::Progress, _: &_| {
+        if progress.steps == 2100 && progress.step == 2050 {
             ControlFlow::Break(())
         } else {
             ControlFlow::Continue(())
         }
     };
-    let Outcome::Stopped(Some(checkpoint)) = fit(&inputs, &options, None, &mut stop_at_550).unwrap() else {
+    let Outcome::Stopped(Some(checkpoint)) =
+        fit(&inputs, &options, None, &mut stop_in_the_second_epoch).unwrap()
+    else {
         panic!("the fit was not stopped");
     };
-    assert_eq!(checkpoint.state.step, 550);
+    assert_eq!(checkpoint.state.step, 2050);
     checkpoint.save(&path).unwrap();
     let read = Checkpoint::open(&path).unwrap();
     assert_eq!(read, checkpoint);
