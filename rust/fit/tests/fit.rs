@@ -105,13 +105,13 @@ fn ggx_finds_the_parameters_that_made_the_data() {
 fn hybrid_and_its_variants_come_closer_than_their_analytic_part() {
     let shared = HybridOptions::shared(NET, 4);
     let recipes = [
-        ("shared", shared, 4.0),
+        ("shared", shared, 2.0),
         ("per material", HybridOptions::per_material(NET), 2.0),
-        ("reciprocal", HybridOptions { inputs: InputChoice::Reciprocal, ..shared }, 4.0),
+        ("reciprocal", HybridOptions { inputs: InputChoice::Reciprocal, ..shared }, 2.0),
         ("paper", HybridOptions::paper(NET, 4), 1.5),
         ("additive", HybridOptions { composition: Composition::Additive, ..shared }, 2.0),
         ("log multiplicative", HybridOptions { composition: Composition::LogMultiplicative, ..shared }, 2.0),
-        ("analytic input", HybridOptions { analytic_input: true, ..shared }, 4.0),
+        ("analytic input", HybridOptions { analytic_input: true, ..shared }, 2.0),
         ("no analytic loss", HybridOptions { analytic_loss: None, joint: true, ..shared }, 1.5),
     ];
     for (name, recipe, factor) in recipes {
