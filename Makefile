@@ -1,0 +1,50 @@
+# Common tasks. Everything is built into .venv, build and target; nothing else is touched.
+#
+#   make demo        install glimt into .venv and render the scenes to out/
+#   make test        formatting, lints and all tests but the long ones
+#   make test-long   the long ones
+#   make clean       delete what the others made
+
+.DEFAULT_GOAL := demo
+.PHONY: demo install test test-long clean
+
+PYTHON ?= python3
+VENV := $(CURDIR)/.venv
+export PATH := $(VENV)/bin:$(PATH)
+# One directory for all of Cargo's work, so that nothing is compiled twice.
+export CARGO_TARGET_DIR ?= $(CURDIR)/target
+
+SOURCES := Cargo.toml Cargo.lock CMakeLists.txt pyproject.toml \
+           $(shell find plugin rust -name '*.rs' -o -name '*.toml' -o -name '*.h' -o -name '*.cpp' \
+                   -o -name '*.py' -o -name '*.map')
+
+$(VENV)/.requirements: .ci/requirements.txt .ci/setup
+	bash .ci/setup
+	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check -r .ci/requirements.txt
+	touch $@
+
+$(VENV)/.glimt: $(VENV)/.requirements $(SOURCES)
+	$(VENV)/bin/pip install --quiet --disable-pip-version-check --no-build-isolation \
+	    -C cmake.define.GLIMT_WERROR=ON -C cmake.define.GLIMT_CARGO_TARGET_DIR=$(CARGO_TARGET_DIR) .
+	touch $@
+
+install: $(VENV)/.glimt
+
+demo: install
+	python scenes/render.py
+
+test: install
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked -- -D warnings
+	ruff check .
+	ruff format --check .
+	cargo test --workspace --locked
+	python -m pytest
+
+test-long: install
+	cargo test --workspace --release --locked -- --ignored
+	python -m pytest -m long
+
+clean:
+	rm -rf $(VENV) build out target
