@@ -149,6 +149,15 @@ fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
             )));
         }
     }
+    let needs_code = match &options.model {
+        Model::Ggx(_) => false,
+        Model::Hybrid(hybrid) => hybrid.sharing == Sharing::Library && inputs.len() > 1,
+        Model::Neural(_) => true,
+    };
+    if needs_code && matches!(net, Some((_, 0))) {
+        let reason = "a latent code of 0 numbers cannot tell the materials of one network apart";
+        return Err(Error::Options(reason.into()));
+    }
     check_materials(inputs)
 }
 

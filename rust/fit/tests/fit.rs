@@ -245,5 +245,6 @@ fn what_cannot_be_fitted_is_refused() {
     assert!(refused(&[input("broken", &Broken, true)], good).contains("\"broken\""));
     let odd = HybridOptions { net: Net { width: 20, layers: 2 }, ..good };
     assert!(refused(&velvets(), odd).contains("20x2"));
+    assert!(refused(&velvets(), HybridOptions { latent: 0, ..good }).contains("latent code of 0"));
     assert!(matches!(finish(&velvets()[..1], &hybrid(good, 10))[0].material, Material::Hybrid(_)));
 }
