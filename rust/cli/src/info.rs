@@ -79,6 +79,8 @@ struct NetworkInfo {
 #[derive(Serialize)]
 struct MaterialInfo {
     name: String,
+    isotropic: bool,
+    reciprocal: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     kd: Option<[f32; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -187,6 +189,8 @@ impl MaterialInfo {
         let microfacet = entry.material.microfacet();
         MaterialInfo {
             name: entry.name.clone(),
+            isotropic: entry.material.is_isotropic(),
+            reciprocal: entry.material.is_reciprocal(),
             kd: microfacet.map(|m| m.kd),
             eta: microfacet.map(|m| m.eta),
             alpha: microfacet.map(|m| m.alpha),
@@ -208,8 +212,10 @@ impl MaterialInfo {
                 write!(text, "  {name} {}", values.join(" ")).expect("a string takes all");
             }
         }
-        for (name, value) in &self.origin.metrics {
-            write!(text, "  {name} {value:.4}").expect("a string takes all");
+        for (label, name) in [("SMAPE", "smape"), ("log-MAE", "log_mae")] {
+            if let Some(value) = self.origin.metrics.get(name) {
+                write!(text, "  {label} {value:.4}").expect("a string takes all");
+            }
         }
         if !self.origin.source.is_empty() {
             write!(text, "  from {}", self.origin.source).expect("a string takes all");

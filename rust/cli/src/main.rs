@@ -2,8 +2,11 @@
 //!
 //! Exit code 0: done; 1: failed, with one line on the standard error stream; 2: bad usage.
 
+mod add;
 mod convert;
 mod eval;
+mod fit;
+mod fitting;
 mod info;
 mod inputs;
 mod output;
@@ -26,12 +29,14 @@ struct Arguments {
     command: Command,
 
     /// Threads to use; all that the machine has if not given.
-    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, global = true, display_order = 100, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 }
 
 #[derive(Subcommand)]
 enum Command {
+    Fit(Box<fit::Arguments>),
+    Add(add::Arguments),
     Info(info::Arguments),
     Eval(eval::Arguments),
     Sample(sample::Arguments),
@@ -68,6 +73,8 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()?;
     }
     match arguments.command {
+        Command::Fit(arguments) => fit::run(&arguments),
+        Command::Add(arguments) => add::run(&arguments),
         Command::Info(arguments) => info::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Sample(arguments) => sample::run(&arguments),

@@ -33,6 +33,17 @@ pub fn progress_bar(steps: usize, what: &'static str) -> ProgressBar {
     ProgressBar::new(steps as u64).with_style(style).with_prefix(what)
 }
 
+/// A bar for the steps of a fit, with a message; hidden where the standard error is no terminal.
+#[must_use]
+pub fn fit_bar() -> ProgressBar {
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style =
+        ProgressStyle::with_template("fit {wide_bar} {pos}/{len} {eta} {msg}").expect("a valid template");
+    ProgressBar::new(0).with_style(style)
+}
+
 /// Writes text to the standard output.
 ///
 /// # Errors

@@ -81,6 +81,27 @@ impl Material {
         }
     }
 
+    /// Whether f is the same in every azimuth by construction.
+    #[must_use]
+    pub fn is_isotropic(&self) -> bool {
+        match self {
+            Material::Ggx(m) => m.microfacet().is_isotropic(),
+            Material::Hybrid(m) => m.form().inputs.is_isotropic() && m.microfacet().is_isotropic(),
+            Material::Neural(_) => false,
+            Material::Nbrdf(_) => true,
+        }
+    }
+
+    /// Whether f(l, v) = f(v, l) by construction.
+    #[must_use]
+    pub fn is_reciprocal(&self) -> bool {
+        match self {
+            Material::Ggx(_) => true,
+            Material::Hybrid(m) => m.form().inputs.is_reciprocal(),
+            Material::Neural(_) | Material::Nbrdf(_) => false,
+        }
+    }
+
     /// The same material with other k_d, η and α, and a sampler for them.
     ///
     /// # Errors

@@ -220,22 +220,11 @@ impl Material {
     }
 
     fn is_isotropic(&self) -> bool {
-        match &self.material {
-            glimt_core::Material::Ggx(m) => m.microfacet().is_isotropic(),
-            glimt_core::Material::Hybrid(m) => {
-                m.form().inputs.is_isotropic() && m.microfacet().is_isotropic()
-            }
-            glimt_core::Material::Neural(_) => false,
-            glimt_core::Material::Nbrdf(_) => true,
-        }
+        self.material.is_isotropic()
     }
 
     fn is_reciprocal(&self) -> bool {
-        match &self.material {
-            glimt_core::Material::Ggx(_) => true,
-            glimt_core::Material::Hybrid(m) => m.form().inputs.is_reciprocal(),
-            glimt_core::Material::Neural(_) | glimt_core::Material::Nbrdf(_) => false,
-        }
+        self.material.is_reciprocal()
     }
 
     fn eval(&self, light: &[f32; 3], view: &[f32; 3]) -> [f32; 3] {

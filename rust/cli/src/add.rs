@@ -1,0 +1,56 @@
+//! `glimt add`: new materials for a finished library.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use glimt_core::Library;
+use glimt_fit::add::{ADD_STEPS, add};
+
+use crate::fitting::{self, Watch};
+use crate::{inputs, output};
+
+/// Add materials to a hybrid library, whose network stays as it is
+///
+/// Only the latent code and the parameters of the analytic part are fitted: seconds instead of minutes.
+/// The materials that the library holds do not change.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Library to add to
+    #[arg(value_name = "LIB.safetensors")]
+    library: PathBuf,
+    /// Files, directories or globs to fit to
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// Library to write [default: the library itself]
+    #[arg(short, long, value_name = "LIB.safetensors")]
+    output: Option<PathBuf>,
+    /// Steps of the optimiser
+    #[arg(long, value_name = "N", default_value_t = ADD_STEPS, value_parser = clap::value_parser!(u64).range(1..))]
+    steps: u64,
+    /// Seed of all random numbers
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    /// Print the errors as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let path = arguments.output.as_ref().unwrap_or(&arguments.library);
+    output::check_writable(path)?;
+    let library = Library::open(&arguments.library)?;
+    let sources = inputs::open(&arguments.files)?;
+    let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
+    let inputs = fitting::inputs(&sources, &fitting::command(&files))?;
+
+    let mut watch = Watch::new()?;
+    let mut report = |progress: &_, state: &_| watch.report(progress, state);
+    let Some(mut added) = add(&library, &inputs, arguments.steps, arguments.seed, &mut report)? else {
+        bail!("stopped; {} is as it was", path.display());
+    };
+    watch.finish();
+    fitting::measure(&mut added, &inputs);
+    Library::new(path, [library.entries(), &added].concat())?.save()?;
+    fitting::print_errors(path, &added, arguments.json)
+}

@@ -1,0 +1,219 @@
+//! `glimt fit`: from measurements to a model library.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use anyhow::{Result, bail};
+use clap::ValueEnum;
+use glimt_core::Library;
+use glimt_core::hybrid::Composition;
+use glimt_fit::checkpoint::Checkpoint;
+use glimt_fit::loss::Loss;
+use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
+use glimt_fit::train::Schedule;
+use glimt_fit::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Outcome, fit};
+use serde::de::DeserializeOwned;
+use serde::de::value::{Error as ValueError, StrDeserializer};
+
+use crate::fitting::{self, Watch};
+use crate::{Usage, inputs, output};
+
+/// Fit one model library to measurements
+///
+/// The same files, options and seed give the same library, on any number of threads. An interrupt
+/// (Ctrl-C) stops the fit and saves a checkpoint beside the output; the same command with --resume goes
+/// on from it, to the same result. When the fit is done, its errors against the inputs are printed, over a
+/// million pairs of cosine-distributed directions, and stored in the library.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Files, directories or globs to fit to
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// Library to write
+    #[arg(short, long, value_name = "LIB.safetensors")]
+    output: PathBuf,
+    /// Model to fit
+    #[arg(long, value_enum, default_value_t = ModelName::Hybrid)]
+    model: ModelName,
+    /// Width and number of the network's hidden layers: 16, 32 or 64 times 2 or 3 [default: 32x2; 16x2 with
+    /// --per-material]
+    #[arg(long, value_name = "WxN", value_parser = parse_net)]
+    net: Option<Net>,
+    /// Numbers in a material's latent code [default: 4; 8 for neural]
+    #[arg(long, value_name = "N", conflicts_with = "per_material")]
+    latent: Option<usize>,
+    /// Give every material a network of its own: smaller errors, more bytes (hybrid)
+    #[arg(long)]
+    per_material: bool,
+    /// The inputs, loss and schedule of the model's paper, instead of glimt's own
+    #[arg(long)]
+    paper: bool,
+    /// What the network sees: cartesian, half-difference or reciprocal (hybrid)
+    #[arg(long, value_name = "INPUTS", value_parser = parse_variant::<InputChoice>)]
+    inputs: Option<InputChoice>,
+    /// f(light, view) = f(view, light) by construction: the same as --inputs reciprocal
+    #[arg(long, conflicts_with = "inputs")]
+    reciprocal: bool,
+    /// How the network corrects the analytic part: gated-residual, additive or log-multiplicative (hybrid)
+    #[arg(long, value_name = "COMPOSITION", value_parser = parse_variant::<Composition>)]
+    composition: Option<Composition>,
+    /// Show the analytic value to the network (hybrid)
+    #[arg(long)]
+    analytic_input: bool,
+    /// Leave the loss of the analytic part out (hybrid)
+    #[arg(long)]
+    no_analytic_loss: bool,
+    /// Steps of the optimiser
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
+    steps: u64,
+    /// Seed of all random numbers
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    /// Learning rate at the start [default: 0.005]
+    #[arg(long, value_name = "RATE")]
+    rate: Option<f32>,
+    /// Go on from the checkpoint of an interrupted fit
+    #[arg(long)]
+    resume: bool,
+    /// Print the errors as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ModelName {
+    /// The analytic BRDF alone: Lambert and GGX
+    Ggx,
+    /// The analytic BRDF, corrected by a network
+    Hybrid,
+    /// A network with learned shading frames
+    Neural,
+}
+
+fn parse_net(text: &str) -> Result<Net, String> {
+    let parts = text.split_once('x').and_then(|(width, layers)| {
+        Some(Net { width: usize::from_str(width).ok()?, layers: usize::from_str(layers).ok()? })
+    });
+    parts.ok_or_else(|| "expected width times layers, as in 32x2".to_owned())
+}
+
+/// A variant as library files spell it.
+fn parse_variant<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    T::deserialize(StrDeserializer::<ValueError>::new(text)).map_err(|error| error.to_string())
+}
+
+impl Arguments {
+    fn options(&self) -> Result<Options, Usage> {
+        let model = match self.model {
+            ModelName::Ggx => {
+                self.refuse(&self.hybrid_only())?;
+                self.refuse(&[("--net", self.net.is_some()), ("--latent", self.latent.is_some())])?;
+                Model::Ggx(if self.paper { Loss::PAPER } else { DEFAULT_ANALYTIC_LOSS })
+            }
+            ModelName::Hybrid => Model::Hybrid(self.hybrid()),
+            ModelName::Neural => {
+                self.refuse(&self.hybrid_only())?;
+                Model::Neural(self.neural())
+            }
+        };
+        let schedule = if self.paper { Schedule::paper } else { Schedule::standard };
+        let schedule = schedule(self.steps, self.seed);
+        Ok(Options { model, schedule: Schedule { rate: self.rate.unwrap_or(schedule.rate), ..schedule } })
+    }
+
+    fn hybrid(&self) -> HybridOptions {
+        let net = self.net.unwrap_or(Net { width: if self.per_material { 16 } else { 32 }, layers: 2 });
+        let shared = if self.paper { HybridOptions::paper } else { HybridOptions::shared };
+        let mut options = shared(net, self.latent.unwrap_or(4));
+        if self.per_material {
+            let HybridOptions { sharing, latent, .. } = HybridOptions::per_material(net);
+            options = HybridOptions { sharing, latent, ..options };
+        }
+        if self.reciprocal {
+            options.inputs = InputChoice::Reciprocal;
+        }
+        if self.no_analytic_loss {
+            options.analytic_loss = None;
+            options.joint = true;
+        }
+        HybridOptions {
+            inputs: self.inputs.unwrap_or(options.inputs),
+            composition: self.composition.unwrap_or(options.composition),
+            analytic_input: self.analytic_input,
+            ..options
+        }
+    }
+
+    fn neural(&self) -> NeuralOptions {
+        let recipe = HybridOptions::shared(Net { width: 32, layers: 2 }, 8);
+        NeuralOptions {
+            net: self.net.unwrap_or(recipe.net),
+            latent: self.latent.unwrap_or(recipe.latent),
+            loss: if self.paper { Loss::PAPER } else { recipe.loss },
+        }
+    }
+
+    /// Options that mean something for the hybrid model only, and whether they were given.
+    fn hybrid_only(&self) -> [(&'static str, bool); 6] {
+        [
+            ("--per-material", self.per_material),
+            ("--inputs", self.inputs.is_some()),
+            ("--reciprocal", self.reciprocal),
+            ("--composition", self.composition.is_some()),
+            ("--analytic-input", self.analytic_input),
+            ("--no-analytic-loss", self.no_analytic_loss),
+        ]
+    }
+
+    fn refuse(&self, options: &[(&str, bool)]) -> Result<(), Usage> {
+        match options.iter().find(|(_, given)| *given) {
+            Some((option, _)) => {
+                Err(Usage(format!("{option} means nothing for --model {:?}", self.model).to_lowercase()))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    let options = arguments.options()?;
+    let path = &arguments.output;
+    output::check_writable(path)?;
+    let checkpoint_path = checkpoint_path(path);
+    let resume = arguments.resume.then(|| Checkpoint::open(&checkpoint_path)).transpose()?;
+    let sources = inputs::open(&arguments.files)?;
+    let inputs = fitting::inputs(&sources, &fitting::command(&arguments.files))?;
+
+    let mut watch = Watch::new()?;
+    let outcome = fit(&inputs, &options, resume, &mut |progress, state| watch.report(progress, state))?;
+    let mut entries = match outcome {
+        Outcome::Done(entries) => entries,
+        Outcome::Stopped(None) => bail!("stopped before there was anything to save"),
+        Outcome::Stopped(Some(checkpoint)) => {
+            checkpoint.save(&checkpoint_path)?;
+            bail!(
+                "stopped at step {} of {}; the same command with --resume goes on from {}",
+                checkpoint.state.step,
+                options.schedule.steps,
+                checkpoint_path.display()
+            );
+        }
+    };
+    watch.finish();
+    fitting::measure(&mut entries, &inputs);
+    let library = Library::new(path, entries)?;
+    library.save()?;
+    if arguments.resume {
+        // The library is written, so that a checkpoint which stays does no harm.
+        let _ = std::fs::remove_file(&checkpoint_path);
+    }
+    fitting::print_errors(path, library.entries(), arguments.json)
+}
+
+/// Where an interrupted fit of this library is kept.
+fn checkpoint_path(output: &Path) -> PathBuf {
+    let mut path = output.as_os_str().to_owned();
+    path.push(".checkpoint");
+    path.into()
+}

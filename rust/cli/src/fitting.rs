@@ -1,0 +1,157 @@
+//! What `fit` and `add` share: their inputs, how they are watched and stopped, and what they report.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context, Result, bail};
+use glimt_core::Brdf;
+use glimt_core::library::{Entry, Origin};
+use glimt_files::{Source, sha256};
+use glimt_fit::Input;
+use glimt_fit::train::{Progress, State};
+use glimt_report::{BrdfError, Protocol};
+use indicatif::ProgressBar;
+
+use crate::output;
+
+/// The materials of `sources` to fit to.
+///
+/// # Errors
+/// Two materials of one name, before anything is fitted to them.
+pub fn inputs<'a>(sources: &'a [Source], command: &str) -> Result<Vec<Input<'a>>> {
+    let mut inputs: Vec<Input> = Vec::new();
+    for source in sources {
+        let path = source.path();
+        let origin = Origin {
+            source: path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default(),
+            sha256: sha256(path)?,
+            command: command.to_owned(),
+            ..Origin::default()
+        };
+        for name in source.names() {
+            if inputs.iter().any(|other| other.name == name) {
+                bail!("two materials are named \"{name}\"; the second is in {}", path.display());
+            }
+            let brdf = source.brdf(Some(&name))?;
+            let isotropic = match source {
+                Source::Library(library) => library.material(Some(&name))?.is_isotropic(),
+                Source::Table { table, .. } => table.measured().is_isotropic(),
+            };
+            inputs.push(Input { name, brdf, isotropic, origin: origin.clone() });
+        }
+    }
+    Ok(inputs)
+}
+
+/// The command line as a library keeps it: without the files, and without what has no influence on the
+/// result, so that a fit that was interrupted gives the same bytes.
+#[must_use]
+pub fn command(files: &[PathBuf]) -> String {
+    let mut words = vec!["glimt".to_owned()];
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--resume" | "--json" => {}
+            "-o" | "--output" | "--threads" => drop(arguments.next()),
+            _ if files.contains(&PathBuf::from(&argument)) => {}
+            _ if argument.starts_with("--output=") || argument.starts_with("--threads=") => {}
+            _ => words.push(argument),
+        }
+    }
+    words.join(" ")
+}
+
+/// Shows the progress of a fit on a terminal, and stops it when the user wants that.
+pub struct Watch {
+    bar: ProgressBar,
+    step: u64,
+    stop: Arc<AtomicBool>,
+}
+
+impl Watch {
+    /// From now on an interrupt or a request to terminate stops the fit; a second one ends the process.
+    ///
+    /// # Errors
+    /// If the operating system does not allow it.
+    pub fn new() -> Result<Watch> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&stop);
+        ctrlc::set_handler(move || {
+            if flag.swap(true, Ordering::Relaxed) {
+                std::process::exit(1);
+            }
+        })
+        .context("cannot listen to interrupts")?;
+        Ok(Watch { bar: output::fit_bar(), step: 0, stop })
+    }
+
+    /// What a fit calls every few steps.
+    pub fn report(&mut self, progress: &Progress, _: &State) -> ControlFlow<()> {
+        if progress.step < self.step {
+            self.bar.reset();
+        }
+        self.step = progress.step;
+        self.bar.set_length(progress.steps);
+        self.bar.set_position(progress.step);
+        self.bar.set_message(format!("loss {:.3e}, {:.0} steps/s", progress.loss, progress.rate));
+        if self.stop.load(Ordering::Relaxed) {
+            self.bar.finish_and_clear();
+            return ControlFlow::Break(());
+        }
+        ControlFlow::Continue(())
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// Measures how far every entry is from the input that it was fitted to, and keeps the errors in it.
+pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
+    let protocol = Protocol::reference();
+    let bar = output::progress_bar(entries.len(), "measure");
+    for (entry, input) in entries.iter_mut().zip(inputs) {
+        let error = BrdfError::measure(input.brdf, &entry.material as &dyn Brdf, &protocol);
+        entry.origin.metrics = BTreeMap::from([
+            ("smape".to_owned(), error.smape),
+            ("log_mae".to_owned(), error.log_mae),
+            ("log_mse".to_owned(), error.log_mse),
+            ("mae".to_owned(), error.mae),
+            ("rmse".to_owned(), error.rmse),
+        ]);
+        bar.inc(1);
+    }
+}
+
+/// The errors of `entries`, as a table for people or as one JSON object.
+///
+/// # Errors
+/// Of the standard output.
+pub fn print_errors(path: &Path, entries: &[Entry], json: bool) -> Result<()> {
+    if json {
+        let errors: BTreeMap<&str, _> =
+            entries.iter().map(|entry| (entry.name.as_str(), &entry.origin.metrics)).collect();
+        let object = serde_json::json!({ "file": path, "materials": errors });
+        return output::print(&format!("{object}\n"));
+    }
+    let width = entries.iter().map(|entry| entry.name.chars().count()).max().unwrap_or(0).max(8);
+    let mut text = format!("{:width$}   SMAPE  log-MAE  log-MSE\n", "material");
+    let row = |name: &str, metric: &dyn Fn(&str) -> f64| {
+        let (smape, log_mae, log_mse) = (metric("smape"), metric("log_mae"), metric("log_mse"));
+        format!("{name:width$}  {smape:6.4}  {log_mae:7.5}  {log_mse:7.5}\n")
+    };
+    for entry in entries {
+        text += &row(&entry.name, &|key| entry.origin.metrics[key]);
+    }
+    if entries.len() > 1 {
+        let mean = |key: &str| {
+            entries.iter().map(|entry| entry.origin.metrics[key]).sum::<f64>() / entries.len() as f64
+        };
+        text += &row("mean", &mean);
+    }
+    output::print(&text)
+}

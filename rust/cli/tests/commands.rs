@@ -1,0 +1,219 @@
+//! Every command as a process, on good input.
+
+mod common;
+
+use common::{Folder, ggx, shared};
+use glimt_core::{Brdf, Library, Vec3};
+use glimt_files::{Array, Source};
+
+#[test]
+fn eval_answers_what_the_library_answers() {
+    let folder = Folder::new();
+    folder.succeeds(&[
+        "eval",
+        "lib.safetensors",
+        "--material",
+        "mint",
+        "--pairs",
+        "pairs.npy",
+        "-o",
+        "f.npy",
+    ]);
+    let f = Array::open(folder.path("f.npy")).unwrap();
+    assert_eq!(f.shape, [3, 3]);
+    let mint = ggx([0.3, 0.7, 0.5]);
+    let expected = [
+        mint.eval(Vec3::Z, Vec3::Z),
+        mint.eval(Vec3::new(-0.6, 0.0, 0.8), Vec3::new(0.6, 0.0, 0.8)),
+        Vec3::ZERO,
+    ];
+    assert_eq!(f.values, expected.map(|f| f.to_array()).concat());
+    folder.succeeds(&["eval", "cloth.bin", "--pairs", "pairs.npy", "-o", "f.npy"]);
+    let table = Source::open(folder.path("cloth.bin")).unwrap();
+    let f = Array::open(folder.path("f.npy")).unwrap();
+    assert_eq!(f.values[..3], table.brdf(None).unwrap().eval(Vec3::Z, Vec3::Z).to_array());
+}
+
+#[test]
+fn eval_gives_zero_for_nan_and_takes_no_pairs() {
+    let folder = Folder::new();
+    folder.array("pairs.npy", &[1, 6], &[f32::NAN, 0.0, 1.0, 0.0, 0.0, 1.0]);
+    folder.succeeds(&["eval", "cloth.bin", "--pairs", "pairs.npy", "-o", "f.npy"]);
+    assert_eq!(Array::open(folder.path("f.npy")).unwrap().values, [0.0; 3]);
+    folder.array("pairs.npy", &[0, 6], &[]);
+    folder.succeeds(&["eval", "cloth.bin", "--pairs", "pairs.npy", "-o", "f.npy"]);
+    assert_eq!(Array::open(folder.path("f.npy")).unwrap().shape, [0, 3]);
+}
+
+#[test]
+fn sample_follows_the_seed_alone() {
+    let folder = Folder::new();
+    let sample = |seed: &str, threads: &str, file: &str| {
+        let command = ["sample", "cloth.bin", "--view", "0.3,-0.2,0.9", "-n", "10000", "--seed", seed];
+        folder.succeeds(&[&command[..], &["--threads", threads, "-o", file]].concat());
+        Array::open(folder.path(file)).unwrap()
+    };
+    let samples = sample("7", "1", "a.npy");
+    assert_eq!(samples.shape, [10_000, 7]);
+    assert_eq!(samples, sample("7", "3", "b.npy"));
+    assert_ne!(samples, sample("8", "1", "c.npy"));
+
+    let table = Source::open(folder.path("cloth.bin")).unwrap();
+    let (brdf, view) = (table.brdf(None).unwrap(), Vec3::new(0.3, -0.2, 0.9).normalize());
+    let mut carried = 0;
+    for row in samples.values.chunks_exact(7) {
+        let (light, pdf) = (Vec3::from_slice(row), row[3]);
+        if pdf > 0.0 {
+            assert_eq!(pdf, brdf.pdf(light, view));
+            let expected = brdf.eval(light, view) * light.z / pdf;
+            assert!((Vec3::from_slice(&row[4..]) - expected).abs().max_element() < 1e-5);
+            carried += 1;
+        }
+    }
+    assert!(carried > 9000);
+}
+
+#[test]
+fn info_says_what_files_hold() {
+    let folder = Folder::new();
+    let text = folder.succeeds(&["info", "lib.safetensors", "cloth.bin"]);
+    assert!(text.contains("lib.safetensors: ggx models, 3 materials"), "{text}");
+    assert!(text.contains("28 bytes per material and 0 shared"), "{text}");
+    assert!(text.contains("orange  kd 0.600 0.300 0.100  eta 1.500 1.500 1.500"), "{text}");
+    assert!(text.contains("cloth.bin: utia measurement"), "{text}");
+    let lines = folder.succeeds(&["info", "--json", "."]);
+    let objects: Vec<serde_json::Value> =
+        lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(objects.len(), 2);
+    assert_eq!(objects[0]["material"], "cloth");
+    assert_eq!(objects[1]["bytes_per_material"], 28);
+    assert_eq!(objects[1]["materials"][2]["kd"][0].as_f64().map(|kd| kd as f32), Some(0.2));
+    assert_eq!(objects[1]["materials"][1]["source"], "mint.bsdf");
+}
+
+#[test]
+fn convert_writes_tables_that_answer_like_the_model() {
+    let folder = Folder::new();
+    let near = |file: &str, kd: [f32; 3]| {
+        let source = Source::open(folder.path(file)).unwrap();
+        // Between the bins of a smooth lobe, a table is within a few percent.
+        let (light, view) = (Vec3::new(-0.48, 0.36, 0.8), Vec3::new(0.36, 0.48, 0.8));
+        let (f, expected) = (source.brdf(None).unwrap().eval(light, view), ggx(kd).eval(light, view));
+        assert!((f - expected).abs().max_element() < 0.05 * expected.max_element(), "{file}: {f} {expected}");
+    };
+    folder.succeeds(&["convert", "lib.safetensors", "--material", "grey", "grey.binary"]);
+    near("grey.binary", [0.2; 3]);
+    folder.succeeds(&["convert", "lib.safetensors", "tables/", "--to", "utia"]);
+    near("tables/orange.bin", [0.6, 0.3, 0.1]);
+    near("tables/mint.bin", [0.3, 0.7, 0.5]);
+    folder.succeeds(&["convert", "grey.binary", "grey.bin"]);
+    near("grey.bin", [0.2; 3]);
+}
+
+#[test]
+fn convert_merges_libraries_and_picks_from_them() {
+    let folder = Folder::new();
+    folder.succeeds(&["convert", "lib.safetensors", "one.safetensors", "--material", "mint"]);
+    assert_eq!(Library::open(folder.path("one.safetensors")).unwrap().names(), ["mint"]);
+    folder.succeeds(&["convert", "--material", "grey", "lib.safetensors", "two.safetensors"]);
+    folder.succeeds(&["convert", "one.safetensors", "two.safetensors", "both.safetensors"]);
+    let both = Library::open(folder.path("both.safetensors")).unwrap();
+    assert_eq!(both.names(), ["mint", "grey"]);
+    assert_eq!(both.entries()[0].origin.source, "mint.bsdf");
+}
+
+#[test]
+fn convert_makes_a_library_of_published_networks() {
+    let Some(networks) = shared("nbrdf/merl") else { return };
+    let folder = Folder::new();
+    let glob = format!("{networks}/gold*.npz");
+    folder.succeeds(&["convert", &glob, "gold.safetensors"]);
+    let library = Library::open(folder.path("gold.safetensors")).unwrap();
+    assert_eq!(library.names(), ["gold-metallic-paint", "gold-metallic-paint3", "gold-paint"]);
+    assert_eq!(library.entries()[0].origin.source, "gold-metallic-paint.npz");
+    assert_eq!(library.entries()[0].origin.sha256.len(), 64);
+    let f = library.material(Some("gold-metallic-paint")).unwrap().eval(Vec3::Z, Vec3::Z);
+    assert!((f - Vec3::new(0.4556, 0.3436, 0.1258)).abs().max_element() < 1e-4);
+}
+
+#[test]
+fn fit_finds_the_parameters_of_a_model_and_reports_its_error() {
+    let folder = Folder::new();
+    let report =
+        folder.succeeds(&["fit", "--model", "ggx", "-o", "fit.safetensors", "lib.safetensors", "--json"]);
+    let report: serde_json::Value = serde_json::from_str(&report).unwrap();
+    assert!(report["materials"]["orange"]["smape"].as_f64().unwrap() < 0.02, "{report}");
+    let library = Library::open(folder.path("fit.safetensors")).unwrap();
+    let microfacet = library.material(Some("orange")).unwrap().microfacet().unwrap();
+    assert!((microfacet.alpha[0] - 0.3).abs() < 0.02, "{microfacet:?}");
+    let origin = &library.entries()[0].origin;
+    assert_eq!(origin.command, "glimt fit --model ggx");
+    assert_eq!(origin.source, "lib.safetensors");
+    assert!(origin.metrics["log_mae"] < 0.01);
+}
+
+#[test]
+fn add_leaves_the_other_materials_as_they_are() {
+    let folder = Folder::new();
+    folder.succeeds(&["fit", "--net", "16x2", "--steps", "200", "-o", "fit.safetensors", "lib.safetensors"]);
+    let before = Library::open(folder.path("fit.safetensors")).unwrap();
+    folder.succeeds(&["convert", "lib.safetensors", "--material", "grey", "slate.binary"]);
+    folder.succeeds(&["add", "fit.safetensors", "slate.binary", "--steps", "100"]);
+    let after = Library::open(folder.path("fit.safetensors")).unwrap();
+    assert_eq!(after.names(), ["orange", "mint", "grey", "slate"]);
+    assert_eq!(after.tensor_bytes(), before.tensor_bytes());
+    let pair = (Vec3::new(-0.6, 0.0, 0.8), Vec3::new(0.48, 0.36, 0.8));
+    for (a, b) in before.entries().iter().zip(after.entries()) {
+        assert_eq!(a.material.eval(pair.0, pair.1), b.material.eval(pair.0, pair.1));
+        assert_eq!(a.origin, b.origin);
+    }
+    assert!(folder.fails(1, &["add", "fit.safetensors", "slate.binary"]).contains("already has a material"));
+}
+
+/// An interrupt in the middle, and the same bytes in the end.
+#[cfg(unix)]
+#[test]
+fn interrupted_fit_goes_on_to_the_same_library() {
+    let folder = Folder::new();
+    let (steps, message) = interrupted(&folder);
+    assert!(message.contains("--resume goes on from parts.safetensors.checkpoint"), "{message}");
+    assert!(folder.files().contains(&"parts.safetensors.checkpoint".to_owned()));
+    assert!(!folder.files().contains(&"parts.safetensors".to_owned()));
+
+    let more = (steps + 1).to_string();
+    let refused = folder.fails(1, &[&fit(&more)[..], &["--resume"]].concat());
+    assert!(refused.contains("other options"), "{refused}");
+
+    folder.succeeds(&[&fit(&steps.to_string())[..], &["--resume", "--threads", "1"]].concat());
+    let resumed = std::fs::read(folder.path("parts.safetensors")).unwrap();
+    assert!(!folder.files().contains(&"parts.safetensors.checkpoint".to_owned()));
+    folder.succeeds(&fit(&steps.to_string()));
+    assert!(resumed == std::fs::read(folder.path("parts.safetensors")).unwrap());
+}
+
+#[cfg(unix)]
+fn fit(steps: &str) -> [&str; 8] {
+    ["fit", "--net", "16x2", "--steps", steps, "cloth.bin", "-o", "parts.safetensors"]
+}
+
+/// Starts fits until one is interrupted between its first and last step, on machines of any speed; its
+/// steps and what it said.
+#[cfg(unix)]
+fn interrupted(folder: &Folder) -> (u64, String) {
+    use std::process::{Command, Stdio};
+    use std::time::Duration;
+
+    let (mut steps, mut wait) = (5000, Duration::from_millis(500));
+    loop {
+        let child = folder.command(&fit(&steps.to_string())).stderr(Stdio::piped()).spawn().unwrap();
+        std::thread::sleep(wait);
+        Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+        let output = child.wait_with_output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        match output.status.code() {
+            Some(0) => steps *= 2,
+            Some(1) if !message.contains("before there was anything to save") => return (steps, message),
+            _ => wait *= 2,
+        }
+    }
+}
