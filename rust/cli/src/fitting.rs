@@ -7,11 +7,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
-use glimt_core::Brdf;
+use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
+use glimt_core::{Brdf, Material};
 use glimt_files::{Source, sha256};
 use glimt_fit::Input;
 use glimt_fit::train::{Progress, State};
+use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
 use indicatif::ProgressBar;
 
@@ -110,22 +112,45 @@ impl Watch {
     }
 }
 
-/// Measures how far every entry is from the input that it was fitted to, and keeps the errors in it.
+/// Measures how far every entry is from the input that it was fitted to, and keeps the errors in it:
+/// of the model, of its analytic part alone where it has one besides (`analytic_…`), and of the input
+/// against itself with light and view exchanged (`swapped_…`), which is a measurement's own noise.
 pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
     let protocol = Protocol::reference();
     let bar = output::progress_bar(entries.len(), "measure");
     for (entry, input) in entries.iter_mut().zip(inputs) {
-        let error = BrdfError::measure(input.brdf, &entry.material as &dyn Brdf, &protocol);
-        entry.origin.metrics = BTreeMap::from([
-            ("smape".to_owned(), error.smape),
-            ("log_mae".to_owned(), error.log_mae),
-            ("log_mse".to_owned(), error.log_mse),
-            ("mae".to_owned(), error.mae),
-            ("rmse".to_owned(), error.rmse),
-        ]);
+        let against = |model: &dyn Brdf| BrdfError::measure(input.brdf, model, &protocol);
+        let error = against(&entry.material);
+        let metrics = &mut entry.origin.metrics;
+        let mut keep = |key: &str, value: f64| metrics.insert(key.to_owned(), value);
+        keep("smape", error.smape);
+        keep("log_mae", error.log_mae);
+        keep("log_mse", error.log_mse);
+        keep("mae", error.mae);
+        keep("rmse", error.rmse);
+        if let Material::Hybrid(hybrid) = &entry.material {
+            let part = Ggx::new(*hybrid.microfacet()).expect("a hybrid's parameters are in range");
+            let analytic = against(&part);
+            keep("analytic_smape", analytic.smape);
+            keep("analytic_log_mae", analytic.log_mae);
+        }
+        let swapped = against(&Swapped(input.brdf));
+        keep("swapped_smape", swapped.smape);
+        keep("swapped_log_mae", swapped.log_mae);
         bar.inc(1);
     }
 }
+
+/// Columns of the table of errors: metric, heading, decimals.
+const COLUMNS: [(&str, &str, usize); 7] = [
+    ("smape", "SMAPE", 4),
+    ("log_mae", "log-MAE", 5),
+    ("log_mse", "log-MSE", 6),
+    ("analytic_smape", "analytic part: SMAPE", 4),
+    ("analytic_log_mae", "log-MAE", 5),
+    ("swapped_smape", "swapped: SMAPE", 4),
+    ("swapped_log_mae", "log-MAE", 5),
+];
 
 /// The errors of `entries`, as a table for people or as one JSON object.
 ///
@@ -138,20 +163,26 @@ pub fn print_errors(path: &Path, entries: &[Entry], json: bool) -> Result<()> {
         let object = serde_json::json!({ "file": path, "materials": errors });
         return output::print(&format!("{object}\n"));
     }
+    let columns: Vec<_> = COLUMNS
+        .into_iter()
+        .filter(|(key, ..)| entries.iter().all(|entry| entry.origin.metrics.contains_key(*key)))
+        .collect();
     let width = entries.iter().map(|entry| entry.name.chars().count()).max().unwrap_or(0).max(8);
-    let mut text = format!("{:width$}   SMAPE  log-MAE  log-MSE\n", "material");
-    let row = |name: &str, metric: &dyn Fn(&str) -> f64| {
-        let (smape, log_mae, log_mse) = (metric("smape"), metric("log_mae"), metric("log_mse"));
-        format!("{name:width$}  {smape:6.4}  {log_mae:7.5}  {log_mse:7.5}\n")
+    let row = |name: &str, cell: &dyn Fn(&str, &str, usize) -> String| {
+        let cells = columns.iter().map(|&(key, heading, decimals)| {
+            format!("  {:>1$}", cell(key, heading, decimals), heading.len().max(decimals + 2))
+        });
+        format!("{name:width$}{}\n", cells.collect::<String>())
     };
+    let mut text = row("material", &|_, heading, _| heading.to_owned());
     for entry in entries {
-        text += &row(&entry.name, &|key| entry.origin.metrics[key]);
+        text += &row(&entry.name, &|key, _, decimals| format!("{:.decimals$}", entry.origin.metrics[key]));
     }
     if entries.len() > 1 {
         let mean = |key: &str| {
             entries.iter().map(|entry| entry.origin.metrics[key]).sum::<f64>() / entries.len() as f64
         };
-        text += &row("mean", &mean);
+        text += &row("mean", &|key, _, decimals| format!("{:.decimals$}", mean(key)));
     }
     output::print(&text)
 }
