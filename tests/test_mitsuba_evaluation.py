@@ -7,6 +7,9 @@ from mitsuba_common import LIBRARIES, MICROFACET, dr, hemisphere, interaction, l
 PAIRS = 10_000
 
 
+glimt = pytest.importorskip("glimt")
+
+
 @pytest.fixture(scope="module")
 def libraries(tmp_path_factory):
     return write_libraries(tmp_path_factory.mktemp("libraries"))
@@ -95,6 +98,28 @@ def test_scalar_variant_is_the_in_kernel_call(libraries, library):
             assert np.allclose(w, weight[:, i], rtol=1e-3, atol=1e-6)
         else:
             assert sample.pdf == 0 or wo[2, i] < 2e-4
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_python_module_is_the_plugin(libraries, library):
+    mi.set_variant("llvm_ad_rgb")
+    light, view = hemisphere(PAIRS, 12), hemisphere(PAIRS, 13)
+    f, pdf = evaluate(load(libraries[library], "metal"), light, view)
+    material = glimt.load(libraries[library])["metal"]
+    assert np.allclose(material.eval(light.T, view.T), f.T, rtol=1e-5, atol=1e-7)
+    assert np.allclose(material.pdf(light.T, view.T), pdf, rtol=1e-5)
+
+
+def test_twosided_serves_both_sides(libraries):
+    mi.set_variant("llvm_ad_rgb")
+    bsdf = {"type": "glimt", "filename": str(libraries["hybrid"]), "material": "orange"}
+    bsdf = mi.load_dict({"type": "twosided", "bsdf": bsdf})
+    light, view = hemisphere(100, 14), hemisphere(100, 15)
+    flip = np.array([[1], [1], [-1]], np.float32)
+    front = np.array(bsdf.eval(mi.BSDFContext(), interaction(view), mi.Vector3f(light)))
+    back = np.array(bsdf.eval(mi.BSDFContext(), interaction(view * flip), mi.Vector3f(light * flip)))
+    assert np.all(front > 0)
+    assert np.array_equal(front, back)
 
 
 def test_monochromatic_variants_have_the_luminance(libraries):
