@@ -12,7 +12,7 @@ class Error(Exception):
     """A file that cannot be used, a material that is not there, or a parameter out of its range."""
 
 def load(path: str | PathLike[str]) -> Library:
-    """Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights (.npz)."""
+    """Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights."""
 
 class Library:
     """The materials of a file. Immutable."""

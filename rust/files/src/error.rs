@@ -41,7 +41,7 @@ pub enum Error {
     /// Neither content nor file name fits a format that is known here.
     #[error(
         "{}: {found}; expected a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) \
-         measurement, or NBRDF weights (.npz, or .npy files named *_fc1.npy …)",
+         measurement, or NBRDF weights (.h5, .npz, or .npy files named *_fc1.npy …)",
         path.display()
     )]
     UnknownFormat {

@@ -11,6 +11,7 @@
 //! ```
 
 mod error;
+pub mod keras;
 pub mod nbrdf;
 pub mod npy;
 mod source;

@@ -1,8 +1,9 @@
 //! Weights of neural BRDFs as Sztrajman et al. 2021 publish them.
 //!
 //! Six arrays: three weights, [inputs][outputs] as Keras stores them, and three biases. They come as
-//! one `.npz` with the names `w1 b1 w2 b2 w3 b3` (or `fc1` … for the weights), or as six `.npy` files
-//! `<material>_fc1.npy`, `<material>_b1.npy` …, of which the first stands for all.
+//! the `.h5` file of Keras, as one `.npz` with the names `w1 b1 w2 b2 w3 b3` (or `fc1` … for the
+//! weights), or as six `.npy` files `<material>_fc1.npy`, `<material>_b1.npy` …, of which the first
+//! stands for all.
 
 use std::collections::HashMap;
 use std::io::{Cursor, Read};
@@ -13,6 +14,7 @@ use glimt_core::nbrdf::{FEATURES, Nbrdf};
 use glimt_core::network::{Activation, Layer, Network};
 
 use crate::error::Error;
+use crate::keras;
 use crate::npy::Array;
 
 /// First bytes of a `.npz` file: that of a zip archive with members.
@@ -26,7 +28,7 @@ const LAYERS: usize = 3;
 const MAX_BYTES: u64 = 1 << 24;
 const FORMAT: &str = "a set of NBRDF weights";
 
-/// Reads a material's network; `path` is an `.npz` file or the first of six `.npy` files.
+/// Reads a material's network; `path` is an `.h5` or `.npz` file or the first of six `.npy` files.
 ///
 /// # Errors
 /// [`Error::Read`], or [`Error::Format`] for a broken file and for arrays that are missing, not finite
@@ -35,7 +37,11 @@ pub fn open(path: impl AsRef<Path>) -> Result<Nbrdf, Error> {
     let path = path.as_ref();
     let arrays = match prefix(path) {
         Some(prefix) => from_npy_files(&prefix)?,
-        None => from_npz(&read(path)?).map_err(format_error(path))?,
+        None => {
+            let bytes = read(path)?;
+            let from = if bytes.starts_with(keras::MAGIC) { from_h5 } else { from_npz };
+            from(&bytes).map_err(format_error(path))?
+        }
     };
     assemble(&arrays).map_err(format_error(path))
 }
@@ -81,6 +87,14 @@ fn from_npz(bytes: &[u8]) -> Result<HashMap<String, Array>, String> {
         arrays.insert(key.to_owned(), array);
     }
     Ok(arrays)
+}
+
+/// The arrays of a file of Keras by the names that they have elsewhere.
+fn from_h5(bytes: &[u8]) -> Result<HashMap<String, Array>, String> {
+    let named = |(i, layer): (usize, keras::Dense)| {
+        [(format!("w{}", i + 1), layer.kernel), (format!("b{}", i + 1), layer.bias)]
+    };
+    Ok(keras::dense_layers(bytes)?.into_iter().enumerate().flat_map(named).collect())
 }
 
 /// The arrays `<prefix>_fc1.npy` … by the last part of their names.
@@ -169,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn archive_and_separate_files_hold_the_same_material() {
+    fn every_format_holds_the_same_material() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("paint.npz");
         std::fs::write(&path, npz(&arrays())).unwrap();
@@ -177,8 +191,19 @@ mod tests {
             let name = name.replace('w', "fc");
             array.save(folder.path().join(format!("paint_{name}.npy"))).unwrap();
         }
-        let (archive, files) = (open(&path).unwrap(), open(folder.path().join("paint_fc1.npy")).unwrap());
-        assert_eq!(archive.network().layers(), files.network().layers());
+        let arrays = arrays();
+        let keras_name = |name: &str| {
+            let (layer, kind) = (&name[1..], if name.starts_with('w') { "kernel" } else { "bias" });
+            format!("dense_{layer}/dense_{layer}/{kind}:0")
+        };
+        let datasets: Vec<_> = arrays.iter().map(|(name, array)| (keras_name(name), array)).collect();
+        std::fs::write(folder.path().join("paint.h5"), keras::tests::file(&datasets)).unwrap();
+
+        let archive = open(&path).unwrap();
+        for other in ["paint_fc1.npy", "paint.h5"] {
+            let other = open(folder.path().join(other)).unwrap();
+            assert_eq!(archive.network().layers(), other.network().layers());
+        }
         // The second output's weight for the fourth input.
         assert_eq!(archive.network().layers()[0].weight[6 + 3], 0.01 * 3.1);
         assert!(archive.eval(Vec3::Z, Vec3::Z).min_element() > 0.0);

@@ -10,6 +10,7 @@ use glimt_measured::Measured;
 use sha2::{Digest, Sha256};
 
 use crate::error::Error;
+use crate::keras;
 use crate::nbrdf;
 use crate::npy;
 use crate::table::Table;
@@ -40,7 +41,8 @@ impl Source {
         if has_extension("safetensors") || start.get(8) == Some(&b'{') {
             return Ok(Source::Library(Library::open(path)?));
         }
-        if has_extension("npz") || start.starts_with(nbrdf::NPZ_MAGIC) {
+        let is_archive = start.starts_with(nbrdf::NPZ_MAGIC) || start.starts_with(keras::MAGIC);
+        if is_archive || has_extension("npz") || has_extension("h5") {
             return open_nbrdf(path);
         }
         if start.starts_with(npy::MAGIC) {

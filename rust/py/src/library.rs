@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use crate::error;
 use crate::material::Material;
 
-/// Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights (.npz).
+/// Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights.
 #[pyfunction]
 pub fn load(py: Python, path: PathBuf) -> PyResult<Library> {
     let source = py.detach(|| Source::open(path)).map_err(error)?;

@@ -1,0 +1,106 @@
+//! Weights of a network as Keras stores them in HDF5: a group for every layer with the datasets
+//! `kernel:0`, [inputs][outputs], and `bias:0`.
+
+use hdf5_reader::group::Group;
+use hdf5_reader::{Dataset, Hdf5File};
+
+use crate::npy::Array;
+
+/// First bytes of an HDF5 file.
+pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
+
+/// Deepest nesting of groups: Keras' own files have at most four levels.
+const MAX_DEPTH: usize = 8;
+
+/// A dense layer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dense {
+    /// [inputs][outputs].
+    pub kernel: Array,
+    /// [outputs].
+    pub bias: Array,
+}
+
+/// The dense layers of a file in their order, by the numbers in their names (`dense_1`, `dense_2` …).
+///
+/// # Errors
+/// In words, a file that is broken or holds other types than float32.
+pub fn dense_layers(bytes: &[u8]) -> Result<Vec<Dense>, String> {
+    let file = Hdf5File::from_bytes(bytes).map_err(|error| error.to_string())?;
+    let mut layers = Vec::new();
+    let root = file.root_group().map_err(|error| error.to_string())?;
+    collect(&root, 0, 0, &mut layers)?;
+    layers.sort_by_key(|&(number, _)| number);
+    Ok(layers.into_iter().map(|(_, layer)| layer).collect())
+}
+
+/// Adds the layers below `group`, each with the number that its name or that of a group around it ends in.
+fn collect(group: &Group, number: u64, depth: usize, layers: &mut Vec<(u64, Dense)>) -> Result<(), String> {
+    if depth > MAX_DEPTH {
+        return Err(format!("its groups are nested more than {MAX_DEPTH} deep"));
+    }
+    let number = trailing_number(group.name()).unwrap_or(number);
+    let (groups, datasets) = group.members().map_err(|error| error.to_string())?;
+    let named = |name: &str| datasets.iter().find(|dataset| last_part(dataset.name()) == name);
+    if let (Some(kernel), Some(bias)) = (named("kernel:0"), named("bias:0")) {
+        layers.push((number, Dense { kernel: read(kernel)?, bias: read(bias)? }));
+    }
+    groups.iter().try_for_each(|group| collect(group, number, depth + 1, layers))
+}
+
+fn read(dataset: &Dataset) -> Result<Array, String> {
+    let values = dataset
+        .read_array::<f32>()
+        .map_err(|error| format!("the dataset {} is no array of float32: {error}", dataset.name()))?;
+    Ok(Array { shape: values.shape().to_vec(), values: values.iter().copied().collect() })
+}
+
+fn last_part(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+fn trailing_number(name: &str) -> Option<u64> {
+    let digits = name.trim_end_matches(|c: char| c.is_ascii_digit()).len();
+    name[digits..].parse().ok()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use hdf5_writer::{DatasetBuilder, Hdf5Builder, WriteOptions};
+
+    /// An HDF5 file of these datasets.
+    pub(crate) fn file(datasets: &[(String, &Array)]) -> Vec<u8> {
+        let mut builder = Hdf5Builder::new();
+        for (name, array) in datasets {
+            let shape: Vec<u64> = array.shape.iter().map(|&axis| axis as u64).collect();
+            builder = builder.dataset(DatasetBuilder::typed_data(name, shape, &array.values).unwrap());
+        }
+        builder.into_plan().unwrap().encode(WriteOptions::default()).unwrap()
+    }
+
+    #[test]
+    fn layers_come_in_the_order_of_their_numbers() {
+        let kernel = |value| Array { shape: vec![2, 1], values: vec![value, -value] };
+        let bias = Array { shape: vec![1], values: vec![0.5] };
+        let kernels: Vec<Array> = [9.0, 10.0, 11.0].map(kernel).to_vec();
+        let mut datasets = Vec::new();
+        for kernel in &kernels {
+            let name = format!("dense_{}", kernel.values[0]);
+            datasets.push((format!("model_weights/{name}/{name}/kernel:0"), kernel));
+            datasets.push((format!("model_weights/{name}/{name}/bias:0"), &bias));
+        }
+        let layers = dense_layers(&file(&datasets)).unwrap();
+        assert_eq!(layers.iter().map(|layer| layer.kernel.clone()).collect::<Vec<_>>(), kernels);
+        assert!(layers.iter().all(|layer| layer.bias == bias));
+    }
+
+    #[test]
+    fn what_is_broken_is_refused() {
+        let array = Array { shape: vec![3], values: vec![1.0; 3] };
+        let bytes = file(&[("dense_1/bias:0".to_owned(), &array)]);
+        assert_eq!(dense_layers(&bytes), Ok(Vec::new()));
+        assert!(dense_layers(&bytes[..bytes.len() / 2]).is_err());
+        assert!(dense_layers(b"text").is_err());
+    }
+}
