@@ -4,7 +4,8 @@
 
 DIRECTORY holds RGL files; a material of a library is compared with Mitsuba's own `measured` on the file of
 the same name, and left out where there is none. The light is Mitsuba's `sunsky`, or an environment map.
-PSNR is of the images as shown: sRGB, clipped to [0, 1]; MAE is of linear radiance.
+PSNR is of the images as shown, sRGB clipped to [0, 1], at an exposure that the measured image sets; MAE is of
+linear radiance.
 """
 
 import argparse
@@ -30,10 +31,10 @@ def parse_arguments():
 
 def light(envmap):
     if envmap:
-        return {"type": "envmap", "filename": str(envmap)}
+        z_up = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
+        return {"type": "envmap", "filename": str(envmap), "to_world": z_up}
     # A sun of this size lights narrow lobes without ruling the picture by a few pixels.
-    up = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
-    return {"type": "sunsky", "sun_direction": [0.5, 0.6, 0.7], "sun_aperture": 5.0, "to_world": up}
+    return {"type": "sunsky", "sun_direction": [0.5, -0.6, 0.6], "sun_aperture": 5.0}
 
 
 def render(bsdf, arguments):
@@ -46,7 +47,7 @@ def render(bsdf, arguments):
             "sensor": {
                 "type": "perspective",
                 "fov": 26,
-                "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+                "to_world": mi.ScalarTransform4f().look_at([0, -5, 0], [0, 0, 0], [0, 0, 1]),
                 "film": {
                     "type": "hdrfilm",
                     "width": arguments.size,
@@ -61,29 +62,38 @@ def render(bsdf, arguments):
     return np.array(mi.render(scene, spp=arguments.spp, seed=1))[..., :3]
 
 
-def shown(image):
+def shown(image, exposure):
     """As a display shows it: sRGB, clipped."""
-    image = np.clip(image, 0, 1)
+    image = np.clip(image * exposure, 0, 1)
     return np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
 
 
+def exposure(truth):
+    """Brings all but the brightest twentieth of the values below 1."""
+    return 1 / np.percentile(truth, 95)
+
+
 def psnr(truth, image):
-    error = np.mean((shown(truth) - shown(image)) ** 2)
+    scale = exposure(truth)
+    error = np.mean((shown(truth, scale) - shown(image, scale)) ** 2)
     return 10 * math.log10(1 / error) if error > 0 else math.inf
 
 
 def measured_file(directory, material):
-    for name in (f"{material}_rgb.bsdf", f"{material}.bsdf"):
-        if (directory / name).exists():
-            return directory / name
-    return None
+    files = (directory / f"{material}{suffix}.bsdf" for suffix in ("_rgb", ""))
+    return next((file for file in files if file.exists()), None)
+
+
+def names(library):
+    """The library's materials, by their names without the suffix that RGL files have."""
+    return {name.removesuffix("_rgb"): name for name in library.materials}
 
 
 def main():
     arguments = parse_arguments()
     mi.set_variant(arguments.variant)
-    libraries = {path: glimt.load(str(path)) for path in arguments.libraries}
-    materials = sorted({name for library in libraries.values() for name in library.materials})
+    libraries = {path: names(glimt.load(str(path))) for path in arguments.libraries}
+    materials = sorted(set().union(*libraries.values()))
     results = {path: [] for path in libraries}
     print(f"{'material':24}" + "".join(f"{path.stem[:24]:>26}" for path in libraries))
     for material in materials:
@@ -93,10 +103,10 @@ def main():
         truth = render({"type": "measured", "filename": str(file)}, arguments)
         images, row = [truth], f"{material:24}"
         for path, library in libraries.items():
-            if material not in library.materials:
+            if material not in library:
                 row += f"{'-':>26}"
                 continue
-            image = render({"type": "glimt", "filename": str(path), "material": material}, arguments)
+            image = render({"type": "glimt", "filename": str(path), "material": library[material]}, arguments)
             images.append(image)
             result = psnr(truth, image), float(np.mean(np.abs(truth - image)))
             results[path].append(result)
@@ -104,7 +114,7 @@ def main():
         print(row, flush=True)
         if arguments.out:
             arguments.out.mkdir(parents=True, exist_ok=True)
-            row = mi.Bitmap(np.concatenate(images, axis=1).astype(np.float32))
+            row = mi.Bitmap((np.concatenate(images, axis=1) * exposure(truth)).astype(np.float32))
             mi.util.write_bitmap(str(arguments.out / f"{material}.png"), row, write_async=False)
     means = [np.mean(values, axis=0) if values else (math.nan, math.nan) for values in results.values()]
     print(f"{'mean':24}" + "".join(f"{mean[0]:14.1f} dB {mean[1]:.5f}" for mean in means))
