@@ -1,8 +1,10 @@
 """Loading, editing and describing the Mitsuba plugin: what a scene's author meets."""
 
 import gc
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,8 @@ from mitsuba_common import (
     save_safetensors,
     write_libraries,
 )
+
+glimt = pytest.importorskip("glimt")
 
 VARIANTS = [
     "scalar_rgb",
@@ -230,6 +234,13 @@ def test_several_materials_share_a_virtual_call(libraries):
     for i, bsdf in enumerate(bsdfs):
         alone = np.array(bsdf.eval(ctx, si, wo))
         assert np.array_equal(mixed[:, which == i], alone[:, which == i]), i
+
+
+@pytest.mark.skipif(shutil.which("nm") is None, reason="needs nm")
+def test_plugin_exports_its_entry_point_alone():
+    plugin = Path(glimt.__file__).parent / "plugins" / "glimt.so"
+    symbols = subprocess.run(["nm", "-D", "--defined-only", plugin], capture_output=True, text=True)
+    assert [line.split()[-1] for line in symbols.stdout.splitlines()] == ["init_plugin"]
 
 
 def test_import_order_does_not_matter(libraries):
