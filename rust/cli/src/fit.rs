@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Leave the loss of the analytic part out (hybrid)
     #[arg(long)]
     no_analytic_loss: bool,
-    /// Steps of the optimiser
+    /// Steps of the optimiser (hybrid and neural; the analytic part always takes its own 1,500)
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
     steps: u64,
     /// Seed of all random numbers
