@@ -43,7 +43,6 @@ test: install
 	python -m pytest
 
 test-long: install
-	cargo test --workspace --release --locked -- --ignored
 	python -m pytest -m long
 
 clean:

@@ -400,10 +400,14 @@ private:
         return { value, density };
     }
 
-    /// Can this pair carry energy: both directions above the horizon, and no NaN among them?
+    /// Can this pair carry energy: both above the horizon and, as in the core, of about unit length?
     static Mask is_lit(const Vector3f &wi, const Vector3f &wo) {
-        return Frame3f::cos_theta(wi) > 0.f && Frame3f::cos_theta(wo) > 0.f &&
-               dr::all(dr::isfinite(wi + wo));
+        auto is_direction = [](const Vector3f &w) {
+            Float square = dr::squared_norm(w);
+            return square >= .25f && square <= 4.f;
+        };
+        return Frame3f::cos_theta(wi) > 0.f && Frame3f::cos_theta(wo) > 0.f && is_direction(wi) &&
+               is_direction(wo);
     }
 
     /// f_r, linear RGB. Where importance is transported, light comes from wi.

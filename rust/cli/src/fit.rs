@@ -208,6 +208,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     watch.finish();
+    // Kept before it is measured, which takes a while, and again with its errors.
+    Library::new(path, entries.clone())?.save()?;
     fitting::measure(&mut entries, &inputs);
     let library = Library::new(path, entries)?;
     library.save()?;

@@ -26,8 +26,8 @@ impl Sample {
 ///
 /// The frame is right-handed with the normal n = +z. `light` points to where the energy comes from
 /// and `view` to where it goes; both point away from the surface and have unit length. Below the
-/// horizon on either side every answer is 0, and a NaN in a direction gives 0 too: for every input
-/// f is finite and ≥ 0. Reciprocity is promised only where a model says so.
+/// horizon on either side every answer is 0, and so it is for a vector that holds a NaN or has not
+/// about unit length: for every input f is finite and ≥ 0. Reciprocity is promised only where a model says so.
 pub trait Brdf: Send + Sync {
     /// f_r(light, view) in sr⁻¹, linear RGB, without the cosine.
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3;
@@ -73,23 +73,31 @@ pub trait SampleBrdf: Brdf {
     fn sample(&self, view: Vec3, u: Vec3) -> Sample;
 }
 
-/// Whether a pair of directions can carry any energy: both finite and above the horizon.
+/// Squared lengths between which a vector passes for a direction. Rounding leaves unit vectors far
+/// inside; what is outside was never one, and the models' formulas could overflow there.
+const LENGTH_SQUARED: [f32; 2] = [0.25, 4.0];
+
+/// Whether a pair of directions can carry any energy: both are directions, above the horizon.
 #[inline]
 #[must_use]
 pub fn is_lit(light: Vec3, view: Vec3) -> bool {
-    // A NaN or infinity anywhere survives the sum, and a comparison with NaN is false.
-    light.z > 0.0 && view.z > 0.0 && (light + view).is_finite()
+    // Comparisons with NaN are false.
+    let is_direction = |v: Vec3| (LENGTH_SQUARED[0]..=LENGTH_SQUARED[1]).contains(&v.length_squared());
+    light.z > 0.0 && view.z > 0.0 && is_direction(light) && is_direction(view)
 }
 
 /// Sets the lanes of `f` that [`is_lit`] rejects to 0.
 #[inline(always)]
 pub fn mask_unlit(light: &Lane3, view: &Lane3, f: &mut Lane3) {
+    let is_direction = |v: &Lane3, lane: usize| {
+        let square = v[0][lane] * v[0][lane] + v[1][lane] * v[1][lane] + v[2][lane] * v[2][lane];
+        (LENGTH_SQUARED[0]..=LENGTH_SQUARED[1]).contains(&square)
+    };
     for lane in 0..LANES {
-        // Sum times 0 is 0 for finite directions and NaN for all others.
-        let sum = (light[0][lane] + view[0][lane])
-            + (light[1][lane] + view[1][lane])
-            + (light[2][lane] + view[2][lane]);
-        let lit = (light[2][lane] > 0.0) & (view[2][lane] > 0.0) & (sum * 0.0 == 0.0);
+        let lit = (light[2][lane] > 0.0)
+            & (view[2][lane] > 0.0)
+            & is_direction(light, lane)
+            & is_direction(view, lane);
         for f in f.iter_mut() {
             f[lane] = if lit { f[lane] } else { 0.0 };
         }

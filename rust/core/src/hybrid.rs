@@ -5,8 +5,9 @@
 //! (f_c, f_g) = (exp a, sigmoid b) from one small network ψ(inputs; z) (eq. 2), per colour channel.
 //! A material is k_d, η, α and a latent code z; all materials of a library share the network.
 //!
-//! exp a can explode where the fit never looked. a is therefore limited to the largest value that
-//! it took over the fit's directions, which the library stores for each material.
+//! exp a can explode where the fit never looked. a is therefore limited to a little more than the
+//! largest value that it took over directions like the fit's, which the library stores for each
+//! material.
 
 use std::sync::Arc;
 
@@ -119,6 +120,21 @@ const ANALYTIC_FLOOR: f32 = 1e-4;
 /// ln f_a reaches from −9 to 9: to the size of the other inputs.
 const ANALYTIC_SCALE: f32 = 0.2;
 
+/// Largest bound of a network's exponent: e²⁰ is beyond any measured lobe, and its square is finite.
+pub const MAX_BOUND: f32 = 20.0;
+
+/// Whether `bound` can bound an exponent.
+///
+/// # Errors
+/// In words, that it cannot.
+pub(crate) fn check_bound(bound: f32) -> Result<(), String> {
+    if bound <= MAX_BOUND {
+        Ok(())
+    } else {
+        Err(format!("the bound of the exponent is {bound}, expected at most {MAX_BOUND}"))
+    }
+}
+
 /// One material of the hybrid model.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
@@ -161,9 +177,10 @@ impl Hybrid {
                 network.latent()
             ));
         }
-        if !latent.iter().all(|z| z.is_finite()) || !bound.is_finite() {
-            return Err("the latent code or the bound of the residual is not finite".into());
+        if !latent.iter().all(|z| z.is_finite()) {
+            return Err("the latent code is not finite".into());
         }
+        check_bound(bound)?;
         let first_bias = network.fold(&latent);
         let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
         let mut hybrid = Hybrid { form, network, microfacet, latent, bound, first_bias, lobes };

@@ -116,6 +116,12 @@ impl Library {
             if architecture(&entry.material) != architecture(first) {
                 return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
             }
+            if let (Material::Neural(a), Material::Neural(b)) = (first, &entry.material)
+                && !Arc::ptr_eq(a.shared(), b.shared())
+            {
+                let names = format!("\"{}\" and \"{}\"", self.entries[0].name, entry.name);
+                return Err(format!("{names} have different networks, and a neural library has one"));
+            }
         }
         Ok(())
     }
@@ -218,7 +224,8 @@ impl Library {
     }
 
     /// Whether one network serves all materials.
-    fn shares_network(&self) -> bool {
+    #[must_use]
+    pub fn shares_network(&self) -> bool {
         let address = |entry: &Entry| entry.material.network().map(std::ptr::from_ref);
         self.kind() != "nbrdf" && self.entries.iter().all(|entry| address(entry) == address(&self.entries[0]))
     }
@@ -511,6 +518,9 @@ fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
     if header.color_space != COLOR_SPACE {
         return Err(format!("its colour space is \"{}\", expected \"{COLOR_SPACE}\"", header.color_space));
     }
+    if header.materials.is_empty() {
+        return Err("it holds no material".into());
+    }
     let file = SafeTensors::deserialize(bytes).map_err(container)?;
     let tensors = Tensors { file, materials: header.materials.len() };
     let materials = decode_materials(&header, &tensors)?;
@@ -552,6 +562,11 @@ fn decode_materials(header: &Header, tensors: &Tensors) -> Result<Vec<Material>,
             let (latents, bounds) = (tensors.latents()?, tensors.bounds()?);
             let networks = tensors.networks(neural::FEATURES, Activation::HardGelu)?;
             let frames = layer_at(&[tensors.take("frames.weight")?, tensors.take("frames.bias")?], None, 0)?;
+            if networks.iter().any(|network| !Arc::ptr_eq(network, &networks[0])) {
+                return Err(
+                    "it has one network per material, expected one for all, as its model is neural".into()
+                );
+            }
             let network = Arc::unwrap_or_clone(networks[0].clone());
             let shared = Arc::new(Shared { network, frames });
             each.map(|i| {
@@ -574,7 +589,7 @@ mod tests {
     use super::*;
     use crate::brdf::Brdf;
     use crate::features::Inputs;
-    use crate::network::tests::patterned;
+    use crate::network::tests::{patterned, patterned_from};
     use glam::Vec3;
     use proptest::prelude::*;
 
@@ -595,12 +610,12 @@ mod tests {
     fn libraries() -> Vec<Vec<Entry>> {
         let network = || Arc::new(patterned(&[10, 16, 16, 6], 6, Activation::HardGelu));
         let shared = network();
-        let own = [network(), Arc::new(patterned(&[10, 16, 16, 6], 6, Activation::HardGelu))];
+        let own = [network(), Arc::new(patterned_from(5, &[10, 16, 16, 6], 6, Activation::HardGelu))];
         let neural = Arc::new(Shared {
             network: patterned(&[30, 16, 3], neural::FEATURES, Activation::HardGelu),
             frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
         });
-        let nbrdf = || Arc::new(patterned(&[6, 21, 21, 3], 6, Activation::Relu));
+        let nbrdf = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, Activation::Relu));
         let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
         vec![
             vec![entry("a", ggx([0.1; 2])), entry("b", ggx([0.1, 0.3]))],
@@ -611,8 +626,8 @@ mod tests {
                 entry("b", Material::Neural(Neural::new(neural, vec![-0.2; 12], 2.0).unwrap())),
             ],
             vec![
-                entry("a", Material::Nbrdf(Nbrdf::new(nbrdf()).unwrap())),
-                entry("b", Material::Nbrdf(Nbrdf::new(nbrdf()).unwrap())),
+                entry("a", Material::Nbrdf(Nbrdf::new(nbrdf(1)).unwrap())),
+                entry("b", Material::Nbrdf(Nbrdf::new(nbrdf(2)).unwrap())),
             ],
         ]
     }
@@ -634,6 +649,16 @@ mod tests {
                 assert_eq!(a.material.lobes(), b.material.lobes());
             }
         }
+    }
+
+    #[test]
+    fn neural_materials_of_two_networks_do_not_make_a_library() {
+        let [mut entries, other] = [libraries().remove(3), libraries().remove(3)];
+        let mut stranger = other.into_iter().next().unwrap();
+        stranger.name = "c".to_owned();
+        entries.push(stranger);
+        let message = Library::new("merged", entries).unwrap_err().to_string();
+        assert!(message.contains("different networks"), "{message}");
     }
 
     #[test]
@@ -683,6 +708,10 @@ mod tests {
         assert!(refused(&replaced("\"glimt\"", "\"other\"")).contains("some other safetensors file"));
         assert!(refused(&replaced("\\\"format\\\":1", "\\\"format\\\":9")).contains("version 9, expected 1"));
         assert!(refused(&replaced("hybrid", "hybrod")).contains("its model is \"hybrod\""));
+        assert!(
+            refused(&replaced("{\\\"name\\\":\\\"a\\\"", "{\\\"nome\\\":\\\"a\\\""))
+                .contains("metadata is broken")
+        );
         assert!(refused(&replaced("bound", "sound")).contains("\"bound\" is missing"));
         assert!(refused(&replaced("latent", "lament")).contains("0 numbers, expected 4"));
         let mut bytes = good.clone();

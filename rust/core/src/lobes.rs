@@ -101,7 +101,8 @@ impl Lobes {
         let (mut moment, mut albedo) = (0.0, 0.0);
         for probe in probes {
             let pdf = probe.diffuse + self.specular_weight * (probe.specular[candidate] - probe.diffuse);
-            moment += f64::from(probe.response * probe.response / (pdf * probe.pdf));
+            let response = f64::from(probe.response);
+            moment += response * response / f64::from(pdf * probe.pdf);
             albedo += f64::from(probe.response / probe.pdf);
         }
         if albedo > 0.0 { moment * probes.len() as f64 / (albedo * albedo) } else { 0.0 }

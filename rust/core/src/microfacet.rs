@@ -70,8 +70,8 @@ impl Microfacet {
     pub fn geometry(&self, light: [f32; 3], view: [f32; 3]) -> Geometry {
         let [ax, ay] = self.alpha;
         // Half vector, not normalised. D depends on directions through
-        // r = |h|² / ((h_x/α_x)² + (h_y/α_y)² + h_z²) alone, which is 1 at h = n and falls off it;
-        // no difference of close numbers occurs however small α is.
+        // r = |h|² / ((h_x/α_x)² + (h_y/α_y)² + h_z²) alone, which is 1 at h = n and falls off it,
+        // without the difference of close numbers that the usual form in cosθ_h has at small α.
         let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
         let (sx, sy) = (h[0] / ax, h[1] / ay);
         let length_squared = h[0] * h[0] + h[1] * h[1] + h[2] * h[2];

@@ -418,7 +418,12 @@ pub(crate) mod tests {
 
     /// A network with weights that follow a fixed pattern of both signs.
     pub fn patterned(sizes: &[usize], features: usize, activation: Activation) -> Network {
-        let mut state = 1u32;
+        patterned_from(1, sizes, features, activation)
+    }
+
+    /// [`patterned`] with another pattern for every seed.
+    pub fn patterned_from(seed: u32, sizes: &[usize], features: usize, activation: Activation) -> Network {
+        let mut state = seed;
         let mut next = move || {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
             (state >> 8) as f32 / (1 << 24) as f32 - 0.5

@@ -14,6 +14,7 @@ use glam::{Mat3, Vec3};
 
 use crate::brdf::{Brdf, is_lit, mask_unlit};
 use crate::dispatch;
+use crate::hybrid::check_bound;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::network::{Layer, MAX_WIDTH, Network};
@@ -62,7 +63,7 @@ impl Neural {
                 network.outputs()
             ));
         }
-        if network.latent() != latent.len() {
+        if network.latent() != latent.len() || latent.is_empty() {
             return Err(format!(
                 "the latent code has {} numbers, expected {}",
                 latent.len(),
@@ -77,9 +78,10 @@ impl Neural {
                 latent.len()
             ));
         }
-        if !latent.iter().all(|z| z.is_finite()) || !bound.is_finite() {
-            return Err("the latent code or the bound of the output is not finite".into());
+        if !latent.iter().all(|z| z.is_finite()) {
+            return Err("the latent code is not finite".into());
         }
+        check_bound(bound)?;
         let network = fold_frames(&shared, &latent)?;
         let first_bias = network.fold(&[]);
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };

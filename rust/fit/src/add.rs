@@ -36,7 +36,7 @@ pub fn add(
     watch: &mut Watch,
 ) -> Result<Option<Vec<Entry>>, Error> {
     let first = match &library.entries()[0].material {
-        Material::Hybrid(material) if !material.latent().is_empty() => material,
+        Material::Hybrid(material) if !material.latent().is_empty() && library.shares_network() => material,
         other => {
             let kind = other.kind();
             let reason = format!(
@@ -79,11 +79,11 @@ pub fn add(
     check_materials(inputs)?;
     let shared = Shape::from_layers(layers);
     let loss = objective.analytic_loss.unwrap_or(objective.loss);
-    let Some(p) = fit_analytic(&brdfs, loss, isotropic, &schedule, watch) else { return Ok(None) };
+    let Some(p) = fit_analytic(&brdfs, loss, isotropic, &schedule, watch)? else { return Ok(None) };
     let judge = pairs::draw(Drawing::Lobes, !seed, 0, 4);
     let candidates =
         p.iter().zip(&brdfs).map(|(p, brdf)| nearest_codes(&objective, &shared, p, library, *brdf, &judge));
-    let Some(own) = best_of(&objective, &shared, &brdfs, candidates.collect(), &schedule, watch) else {
+    let Some(own) = best_of(&objective, &shared, &brdfs, candidates.collect(), &schedule, watch)? else {
         return Ok(None);
     };
     let numbers = [shared, own.concat()].concat();

@@ -89,6 +89,9 @@ fn decode(bytes: &[u8]) -> Result<Checkpoint, String> {
         Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
     };
     let (numbers, first, second) = (take("numbers")?, take("first")?, take("second")?);
+    if !numbers.iter().chain(&first).chain(&second).all(|x| x.is_finite()) {
+        return Err("it holds numbers that are not finite".into());
+    }
     if first.len() != numbers.len() || second.len() != numbers.len() {
         return Err("its tensors differ in length".into());
     }

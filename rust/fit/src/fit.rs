@@ -23,7 +23,7 @@ use crate::neural::NeuralObjective;
 use crate::objective::Objective;
 use crate::options::{Model, Options};
 use crate::pairs::{self, Drawing, PairBlock};
-use crate::train::{Progress, Schedule, State, train};
+use crate::train::{End, MAX_BLOCKS, Progress, Schedule, State, train};
 
 /// A material to fit to.
 pub struct Input<'a> {
@@ -76,6 +76,13 @@ pub fn fit(
         }
     }
     let resumed = resume.map(|checkpoint| checkpoint.state);
+    let fits = |len: usize| match &resumed {
+        Some(state) if state.numbers.len() != len || state.moments.first.len() != len => {
+            let found = state.numbers.len();
+            Err(Error::Options(format!("the checkpoint holds {found} numbers, expected {len}; fit anew")))
+        }
+        _ => Ok(()),
+    };
     let stopped = |state: Option<State>| {
         let checkpoint = |state| Checkpoint { options: options.clone(), materials, state };
         Ok(Outcome::Stopped(state.map(checkpoint)))
@@ -83,18 +90,19 @@ pub fn fit(
     let schedule = &options.schedule;
     let made = match &options.model {
         Model::Ggx(loss) => {
-            let Some(p) = fit_analytic(&brdfs, *loss, isotropic, schedule, watch) else {
+            let Some(p) = fit_analytic(&brdfs, *loss, isotropic, schedule, watch)? else {
                 return stopped(None);
             };
             p.iter().map(|p| Ggx::new(analytic::to_parameters(p)).map(Material::Ggx)).collect()
         }
         Model::Hybrid(hybrid) => {
             let objective = hybrid.objective(isotropic);
+            fits(objective.shared_len() + inputs.len() * objective.own_len())?;
             let mut state = match resumed {
                 Some(state) => state,
                 None => {
                     let loss = hybrid.analytic_loss.unwrap_or(hybrid.loss);
-                    let Some(p) = fit_analytic(&brdfs, loss, isotropic, schedule, watch) else {
+                    let Some(p) = fit_analytic(&brdfs, loss, isotropic, schedule, watch)? else {
                         return stopped(None);
                     };
                     State::new(start(&objective, &p, schedule.seed))
@@ -108,6 +116,7 @@ pub fn fit(
         Model::Neural(neural) => {
             let objective =
                 NeuralObjective::new(&neural.net.hidden(), neural.latent, Activation::HardGelu, neural.loss);
+            fits(objective.shared_len() + inputs.len() * objective.own_len())?;
             let initial = || State::new(objective.initial(schedule.seed, inputs.len()));
             let mut state = resumed.unwrap_or_else(initial);
             if !run(&objective, &brdfs, schedule, &mut state, watch)? {
@@ -130,6 +139,13 @@ fn identities(inputs: &[Input]) -> Vec<(String, String)> {
 }
 
 fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
+    let Schedule { blocks, rate, .. } = options.schedule;
+    if !(1..=MAX_BLOCKS).contains(&blocks) {
+        return Err(Error::Options(format!("a step has {blocks} blocks, expected 1 to {MAX_BLOCKS}")));
+    }
+    if !(rate > 0.0 && rate.is_finite()) {
+        return Err(Error::Options(format!("the learning rate is {rate}, expected a positive number")));
+    }
     let net = match &options.model {
         Model::Ggx(_) => None,
         Model::Hybrid(hybrid) => Some((hybrid.net, hybrid.latent)),
@@ -175,19 +191,18 @@ pub(crate) fn check_materials(inputs: &[Input]) -> Result<(), Error> {
     Ok(())
 }
 
-/// [`train`], and whether its numbers are still finite.
-pub(crate) fn run<O: Objective>(
+/// [`train`], and whether it came to its end.
+fn run<O: Objective>(
     objective: &O,
     brdfs: &[&dyn Brdf],
     schedule: &Schedule,
     state: &mut State,
     watch: &mut Watch,
 ) -> Result<bool, Error> {
-    let finished = train(objective, brdfs, schedule, state, watch);
-    if state.numbers.iter().all(|x| x.is_finite()) {
-        Ok(finished)
-    } else {
-        Err(Error::Diverged { step: state.step })
+    match train(objective, brdfs, schedule, state, watch) {
+        End::Finished => Ok(true),
+        End::Stopped => Ok(false),
+        End::Diverged => Err(Error::Diverged { step: state.step }),
     }
 }
 
@@ -201,7 +216,7 @@ pub(crate) fn fit_analytic(
     isotropic: bool,
     schedule: &Schedule,
     watch: &mut Watch,
-) -> Option<Vec<Vec<f32>>> {
+) -> Result<Option<Vec<Vec<f32>>>, Error> {
     let objective = GgxObjective { loss, isotropic };
     let starts = START_ALPHAS.map(|alpha| {
         let p = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [alpha; 2] };
@@ -220,14 +235,14 @@ pub(crate) fn best_of<O: Objective>(
     candidates: Vec<Vec<Vec<f32>>>,
     schedule: &Schedule,
     watch: &mut Watch,
-) -> Option<Vec<Vec<f32>>> {
+) -> Result<Option<Vec<Vec<f32>>>, Error> {
     let owners: Vec<usize> =
         candidates.iter().enumerate().flat_map(|(i, starts)| starts.iter().map(move |_| i)).collect();
     let repeated: Vec<&dyn Brdf> = owners.iter().map(|&i| brdfs[i]).collect();
     let numbers = shared.iter().copied().chain(candidates.into_iter().flatten().flatten()).collect();
     let mut state = State::new(numbers);
-    if !train(objective, &repeated, schedule, &mut state, watch) {
-        return None;
+    if !run(objective, &repeated, schedule, &mut state, watch)? {
+        return Ok(None);
     }
     let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
     let mut best = vec![(f64::INFINITY, Vec::new()); brdfs.len()];
@@ -237,8 +252,10 @@ pub(crate) fn best_of<O: Objective>(
             best[owner] = (loss, own.to_vec());
         }
     }
-    // A loss that is NaN is never the best; its numbers are then refused as a material.
-    Some(best.into_iter().map(|(_, own)| own).collect())
+    if best.iter().any(|(loss, _)| !loss.is_finite()) {
+        return Err(Error::Diverged { step: schedule.steps });
+    }
+    Ok(Some(best.into_iter().map(|(_, own)| own).collect()))
 }
 
 /// Blocks of fresh pairs on which candidates are compared and bounds are taken.

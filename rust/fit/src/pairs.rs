@@ -58,7 +58,7 @@ const LOBE_ALPHAS: [f32; 4] = [0.01, 0.03, 0.1, 0.3];
 /// RMSE at no cost in log-MAE; four times as much cost a tenth of log-MAE.
 const TIP_WEIGHT: f32 = 0.005;
 
-/// `count` blocks of pairs, by the seed alone: the same whatever ran before, on any machine.
+/// `count` blocks of pairs, by seed and epoch alone: the same whatever ran before.
 ///
 /// The points are a Kronecker sequence with the generalised golden ratio of five dimensions
 /// (Roberts 2018), shifted at random, so that every block covers the hemispheres evenly.
@@ -66,10 +66,14 @@ const TIP_WEIGHT: f32 = 0.005;
 pub fn draw(drawing: Drawing, seed: u64, epoch: u64, count: usize) -> Vec<PairBlock> {
     let mut rng = Pcg64::seed_from_u64(seed ^ epoch.wrapping_mul(0x9e37_79b9_7f4a_7c15));
     let shift: [f64; 5] = std::array::from_fn(|_| rng.random());
+    // Rounding to float32 may reach 1, which is no longer in [0, 1).
+    const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
     // The root of x⁶ = x + 1.
     const GOLDEN: f64 = 1.134_724_138_401_519_5;
     let point = |n: usize| -> [f32; 5] {
-        std::array::from_fn(|d| (shift[d] + n as f64 * GOLDEN.powi(-(d as i32) - 1)).fract() as f32)
+        std::array::from_fn(|d| {
+            ((shift[d] + n as f64 * GOLDEN.powi(-(d as i32) - 1)).fract() as f32).min(BELOW_ONE)
+        })
     };
     let blocks = 0..count;
     blocks

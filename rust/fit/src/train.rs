@@ -35,6 +35,8 @@ pub struct Schedule {
 
 /// Blocks that are drawn and evaluated at a time.
 const POOL_BLOCKS: usize = 256;
+/// Most blocks in a step.
+pub const MAX_BLOCKS: usize = POOL_BLOCKS;
 /// How often every block of a pool is used. Evaluating a measurement costs as much as a step on it;
 /// on the reference materials, 32 passes end where 8 do.
 const POOL_PASSES: usize = 32;
@@ -74,17 +76,31 @@ pub struct Progress {
 /// Steps between reports.
 const REPORT_EVERY: u64 = 50;
 
-/// Runs `state` to the end of `schedule`, or until `report` breaks; says whether it came to the end.
+/// How [`train`] ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// Every step is done.
+    Finished,
+    /// The report broke it off.
+    Stopped,
+    /// The gradient was no longer finite; the state is that before the step.
+    Diverged,
+}
+
+/// Runs `state` to the end of `schedule`, or until `report` breaks.
 ///
-/// The result depends on the schedule and the materials alone: not on the number of threads, nor on
-/// how often the fit was interrupted.
+/// On machines of one instruction set, the result depends on the schedule and the materials alone: not
+/// on the number of threads, nor on how often the fit was interrupted.
+///
+/// # Panics
+/// If the schedule has no blocks in a step, or more than [`MAX_BLOCKS`].
 pub fn train<O: Objective>(
     objective: &O,
     materials: &[&dyn Brdf],
     schedule: &Schedule,
     state: &mut State,
     report: &mut dyn FnMut(&Progress, &State) -> ControlFlow<()>,
-) -> bool {
+) -> End {
     let epoch_steps = (POOL_BLOCKS * POOL_PASSES / schedule.blocks) as u64;
     let mut pool = Pool { epoch: u64::MAX, pairs: Vec::new(), targets: Vec::new() };
     let (start, first) = (Instant::now(), state.step);
@@ -100,7 +116,9 @@ pub fn train<O: Objective>(
         if schedule.freeze_shared {
             gradient[..objective.shared_len()].fill(0.0);
         }
-        clip_norm(&mut gradient, schedule.clip);
+        if !clip_norm(&mut gradient, schedule.clip).is_finite() {
+            return End::Diverged;
+        }
         let rate = cosine_decay(schedule.rate, state.step, schedule.steps);
         let decays = |i| !schedule.freeze_shared && objective.decays(i);
         state.step += 1;
@@ -116,11 +134,11 @@ pub fn train<O: Objective>(
             };
             loss = 0.0;
             if report(&progress, state).is_break() {
-                return false;
+                return End::Stopped;
             }
         }
     }
-    true
+    End::Finished
 }
 
 /// Pairs of one epoch and every material's values there.
