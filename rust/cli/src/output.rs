@@ -14,6 +14,9 @@ pub fn check_writable(path: &Path) -> Result<()> {
     let Some(name) = path.file_name().filter(|_| !path.is_dir()) else {
         bail!("cannot write {}: it is a directory", path.display());
     };
+    if path.exists() && !path.is_file() {
+        bail!("cannot write {}: it is not a regular file", path.display());
+    }
     // Files are written beside their place and then renamed: that is what must be possible.
     let probe = path.with_file_name(format!("{}.{}.probe", name.display(), std::process::id()));
     let created = std::fs::File::create_new(&probe).map(drop);

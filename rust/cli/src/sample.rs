@@ -26,9 +26,9 @@ pub struct Arguments {
     /// View direction, above the horizon; it is normalised
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     view: View,
-    /// Number of samples
-    #[arg(short = 'n', long, value_name = "N")]
-    count: usize,
+    /// Number of samples, at most 100 million (2.8 GB)
+    #[arg(short = 'n', long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=100_000_000))]
+    count: u32,
     /// Seed of the random numbers
     #[arg(long, default_value_t = 0, value_name = "SEED")]
     seed: u64,
@@ -65,10 +65,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check_writable(&arguments.output)?;
     let source = Source::open(&arguments.file)?;
     let brdf = source.brdf(arguments.material.as_deref())?;
-    let samples = sample(brdf, arguments.view.0, arguments.count, arguments.seed);
+    let count = arguments.count as usize;
+    let samples = sample(brdf, arguments.view.0, count, arguments.seed);
     let row = |s: Sample| [s.light.to_array().as_slice(), &[s.pdf], &s.weight.to_array()].concat();
     let values = samples.into_iter().flat_map(row).collect();
-    Array { shape: vec![arguments.count, 7], values }.save(&arguments.output)?;
+    Array { shape: vec![count, 7], values }.save(&arguments.output)?;
     Ok(())
 }
 

@@ -340,8 +340,12 @@ fn architecture(material: &Material) -> (&'static str, Option<Form>, Vec<(usize,
 /// Writes `bytes` beside `path` and renames, so that `path` is never half a file.
 ///
 /// # Errors
-/// Whatever the file system says.
+/// Whatever the file system says, and that `path` is there but no file: a rename would replace a
+/// device or a pipe.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    if path.exists() && !path.is_file() {
+        return Err(std::io::Error::other("it is not a regular file"));
+    }
     let mut name = path.file_name().ok_or(std::io::ErrorKind::IsADirectory)?.to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let part = path.with_file_name(name);
@@ -501,7 +505,9 @@ fn unexpected_shape(tensor: &Tensor, expected: &str) -> String {
 }
 
 fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
-    let container = |e: safetensors::SafeTensorError| format!("as a safetensors file it is broken: {e}");
+    let container = |e: safetensors::SafeTensorError| {
+        format!("as a safetensors file of {} bytes it is broken or cut off: {e}", bytes.len())
+    };
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
     let json = metadata
         .metadata()
@@ -728,6 +734,9 @@ mod tests {
         let message = Library::new(&path, libraries().remove(0)).unwrap().save().unwrap_err().to_string();
         assert!(message.contains("cannot write"), "{message}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        // Renaming onto a directory, a device or a pipe must not be tried.
+        let message = write_whole(folder.path(), b"bytes").unwrap_err().to_string();
+        assert!(message.contains("not a regular file"), "{message}");
     }
 
     proptest! {
