@@ -111,7 +111,12 @@ impl Arguments {
         let model = match self.model {
             ModelName::Ggx => {
                 self.refuse(&self.hybrid_only())?;
-                self.refuse(&[("--net", self.net.is_some()), ("--latent", self.latent.is_some())])?;
+                self.refuse(&[
+                    ("--net", self.net.is_some()),
+                    ("--latent", self.latent.is_some()),
+                    ("--rate", self.rate.is_some()),
+                    ("--resume", self.resume),
+                ])?;
                 Model::Ggx(if self.paper { Loss::PAPER } else { DEFAULT_ANALYTIC_LOSS })
             }
             ModelName::Hybrid => Model::Hybrid(self.hybrid()),

@@ -3,7 +3,6 @@
 //! k_d, η and α have ranges; the optimiser works on numbers that have none. A logistic curve maps
 //! them, so that α, whose scale spans orders of magnitude, moves by ratios where it is small.
 
-use glimt_core::hybrid::Form;
 use glimt_core::microfacet::{ETA_RANGE, Geometry, MIN_ALPHA, Microfacet};
 use std::f32::consts::FRAC_1_PI;
 
@@ -159,12 +158,6 @@ fn fresnel_and_slope(cos: f32, eta: f32) -> (f32, f32) {
     let square = 1.0 + parallel * parallel;
     let value = 0.5 * ratio * ratio * square;
     (value, ratio * (d_ratio * square + ratio * parallel * d_parallel))
-}
-
-/// ∂ feature/∂f_a of the network's analytic input; see [`Form::analytic_feature`].
-#[must_use]
-pub fn feature_slope(analytic: f32) -> f32 {
-    Form::analytic_feature_derivative(analytic)
 }
 
 #[cfg(test)]
