@@ -43,6 +43,7 @@ test: install
 	python -m pytest
 
 test-long: install
+	cargo test --workspace --locked --release -- --ignored
 	python -m pytest -m long
 
 clean:
