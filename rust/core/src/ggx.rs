@@ -6,6 +6,7 @@ use crate::brdf::{Brdf, is_lit, mask_unlit};
 use crate::dispatch;
 use crate::lobes::Lobes;
 use crate::microfacet::Microfacet;
+use crate::model::Model;
 use crate::simd::{LANES, Lane3};
 
 /// A material that is [`Microfacet`] and nothing else. Reciprocal.
@@ -32,11 +33,29 @@ impl Ggx {
     pub fn microfacet(&self) -> &Microfacet {
         &self.microfacet
     }
+}
 
-    /// The material's sampler.
-    #[must_use]
-    pub fn lobes(&self) -> Lobes {
+impl Model for Ggx {
+    const KIND: &'static str = "ggx";
+
+    fn lobes(&self) -> Lobes {
         self.lobes
+    }
+
+    fn is_isotropic(&self) -> bool {
+        self.microfacet.is_isotropic()
+    }
+
+    fn is_reciprocal(&self) -> bool {
+        true
+    }
+
+    fn microfacet(&self) -> Option<&Microfacet> {
+        Some(&self.microfacet)
+    }
+
+    fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, String> {
+        Ggx::new(microfacet)
     }
 }
 

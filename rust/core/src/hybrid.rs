@@ -20,6 +20,7 @@ use crate::features::{Inputs, MAX_FEATURES};
 use crate::lobes::Lobes;
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::Microfacet;
+use crate::model::Model;
 use crate::network::{MAX_WIDTH, Network};
 use crate::simd::{LANES, Lane, Lane3};
 
@@ -217,11 +218,41 @@ impl Hybrid {
     pub fn bound(&self) -> f32 {
         self.bound
     }
+}
 
-    /// The material's sampler.
-    #[must_use]
-    pub fn lobes(&self) -> Lobes {
+impl Model for Hybrid {
+    const KIND: &'static str = "hybrid";
+
+    fn lobes(&self) -> Lobes {
         self.lobes
+    }
+
+    fn is_isotropic(&self) -> bool {
+        self.form.inputs.is_isotropic() && self.microfacet.is_isotropic()
+    }
+
+    fn is_reciprocal(&self) -> bool {
+        self.form.inputs.is_reciprocal()
+    }
+
+    fn microfacet(&self) -> Option<&Microfacet> {
+        Some(&self.microfacet)
+    }
+
+    fn latent(&self) -> &[f32] {
+        &self.latent
+    }
+
+    fn network(&self) -> Option<&Network> {
+        Some(&self.network)
+    }
+
+    fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, String> {
+        Hybrid::new(self.form, self.network.clone(), microfacet, self.latent.clone(), self.bound)
+    }
+
+    fn with_latent(&self, latent: Vec<f32>) -> Result<Self, String> {
+        Hybrid::new(self.form, self.network.clone(), self.microfacet, latent, self.bound)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The closed set of models, as one type that a renderer holds.
-
-use std::sync::Arc;
+//!
+//! A model is listed here in three places: the enum, `with_model!`, and `variants!`.
 
 use glam::Vec3;
 
@@ -9,6 +9,7 @@ use crate::ggx::Ggx;
 use crate::hybrid::Hybrid;
 use crate::lobes::Lobes;
 use crate::microfacet::Microfacet;
+use crate::model::Model;
 use crate::nbrdf::Nbrdf;
 use crate::network::Network;
 use crate::neural::Neural;
@@ -27,135 +28,109 @@ pub enum Material {
     Nbrdf(Nbrdf),
 }
 
+/// `$body` with `$model` bound to the [`Model`] that `$material` holds.
+macro_rules! with_model {
+    ($material:expr, $model:pat => $body:expr) => {
+        match $material {
+            Material::Ggx($model) => $body,
+            Material::Hybrid($model) => $body,
+            Material::Neural($model) => $body,
+            Material::Nbrdf($model) => $body,
+        }
+    };
+}
+pub(crate) use with_model;
+
+/// Ways between [`Material`] and each model.
+macro_rules! variants {
+    ($($model:ident),+) => {$(
+        impl From<$model> for Material {
+            fn from(model: $model) -> Self {
+                Material::$model(model)
+            }
+        }
+
+        impl<'a> TryFrom<&'a Material> for &'a $model {
+            type Error = ();
+
+            fn try_from(material: &'a Material) -> Result<Self, ()> {
+                if let Material::$model(model) = material { Ok(model) } else { Err(()) }
+            }
+        }
+    )+};
+}
+variants!(Ggx, Hybrid, Neural, Nbrdf);
+
 impl Material {
-    /// The model's name as files and commands spell it.
+    /// See [`Model::KIND`].
     #[must_use]
     pub fn kind(&self) -> &'static str {
-        match self {
-            Material::Ggx(_) => "ggx",
-            Material::Hybrid(_) => "hybrid",
-            Material::Neural(_) => "neural",
-            Material::Nbrdf(_) => "nbrdf",
+        fn kind<M: Model>(_: &M) -> &'static str {
+            M::KIND
         }
+        with_model!(self, model => kind(model))
     }
 
-    /// k_d, η, α of the models that have an analytic part.
+    /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {
-        match self {
-            Material::Ggx(m) => Some(m.microfacet()),
-            Material::Hybrid(m) => Some(m.microfacet()),
-            Material::Neural(_) | Material::Nbrdf(_) => None,
-        }
+        with_model!(self, model => Model::microfacet(model))
     }
 
-    /// z; empty for models that have none.
+    /// See [`Model::latent`].
     #[must_use]
     pub fn latent(&self) -> &[f32] {
-        match self {
-            Material::Hybrid(m) => m.latent(),
-            Material::Neural(m) => m.latent(),
-            Material::Ggx(_) | Material::Nbrdf(_) => &[],
-        }
+        with_model!(self, model => Model::latent(model))
     }
 
-    /// The network of the models that have one, before anything is folded into it.
+    /// See [`Model::network`].
     #[must_use]
     pub fn network(&self) -> Option<&Network> {
-        match self {
-            Material::Ggx(_) => None,
-            Material::Hybrid(m) => Some(m.network()),
-            Material::Neural(m) => Some(&m.shared().network),
-            Material::Nbrdf(m) => Some(m.network()),
-        }
+        with_model!(self, model => Model::network(model))
     }
 
-    /// The sampler.
+    /// See [`Model::lobes`].
     #[must_use]
     pub fn lobes(&self) -> Lobes {
-        match self {
-            Material::Ggx(m) => m.lobes(),
-            Material::Hybrid(m) => m.lobes(),
-            Material::Neural(m) => m.lobes(),
-            Material::Nbrdf(m) => m.lobes(),
-        }
+        with_model!(self, model => model.lobes())
     }
 
-    /// Whether f is the same in every azimuth by construction.
+    /// See [`Model::is_isotropic`].
     #[must_use]
     pub fn is_isotropic(&self) -> bool {
-        match self {
-            Material::Ggx(m) => m.microfacet().is_isotropic(),
-            Material::Hybrid(m) => m.form().inputs.is_isotropic() && m.microfacet().is_isotropic(),
-            Material::Neural(_) => false,
-            Material::Nbrdf(_) => true,
-        }
+        with_model!(self, model => model.is_isotropic())
     }
 
-    /// Whether f(l, v) = f(v, l) by construction.
+    /// See [`Model::is_reciprocal`].
     #[must_use]
     pub fn is_reciprocal(&self) -> bool {
-        match self {
-            Material::Ggx(_) => true,
-            Material::Hybrid(m) => m.form().inputs.is_reciprocal(),
-            Material::Neural(_) | Material::Nbrdf(_) => false,
-        }
+        with_model!(self, model => model.is_reciprocal())
     }
 
-    /// The same material with other k_d, η and α, and a sampler for them.
+    /// See [`Model::with_microfacet`].
     ///
     /// # Errors
-    /// In words, a parameter out of range, or that the model has no analytic part.
+    /// See [`Model::with_microfacet`].
     pub fn with_microfacet(&self, microfacet: Microfacet) -> Result<Material, String> {
-        match self {
-            Material::Ggx(_) => Ggx::new(microfacet).map(Material::Ggx),
-            Material::Hybrid(m) => {
-                Hybrid::new(m.form(), m.network().clone(), microfacet, m.latent().to_vec(), m.bound())
-                    .map(Material::Hybrid)
-            }
-            Material::Neural(_) | Material::Nbrdf(_) => {
-                Err(format!("a {} material has no kd, eta or alpha to edit", self.kind()))
-            }
-        }
+        with_model!(self, model => model.with_microfacet(microfacet).map(Material::from))
     }
 
-    /// The same material with another latent code, and a sampler for it.
+    /// See [`Model::with_latent`].
     ///
     /// # Errors
-    /// In words, a code of another length or not finite, or that the model has none.
+    /// See [`Model::with_latent`].
     pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, String> {
-        match self {
-            Material::Hybrid(m) => {
-                Hybrid::new(m.form(), m.network().clone(), *m.microfacet(), latent, m.bound())
-                    .map(Material::Hybrid)
-            }
-            Material::Neural(m) => {
-                Neural::new(Arc::clone(m.shared()), latent, m.bound()).map(Material::Neural)
-            }
-            Material::Ggx(_) | Material::Nbrdf(_) => {
-                Err(format!("a {} material has no latent code", self.kind()))
-            }
-        }
+        with_model!(self, model => model.with_latent(latent).map(Material::from))
     }
 }
 
 impl Brdf for Material {
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        match self {
-            Material::Ggx(m) => m.eval(light, view),
-            Material::Hybrid(m) => m.eval(light, view),
-            Material::Neural(m) => m.eval(light, view),
-            Material::Nbrdf(m) => m.eval(light, view),
-        }
+        with_model!(self, model => model.eval(light, view))
     }
 
     fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        match self {
-            Material::Ggx(m) => m.eval_tile(light, view, out),
-            Material::Hybrid(m) => m.eval_tile(light, view, out),
-            Material::Neural(m) => m.eval_tile(light, view, out),
-            Material::Nbrdf(m) => m.eval_tile(light, view, out),
-        }
+        with_model!(self, model => model.eval_tile(light, view, out));
     }
 }
 

@@ -13,6 +13,7 @@ use crate::brdf::{Brdf, is_lit, mask_unlit};
 use crate::dispatch;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
+use crate::model::Model;
 use crate::network::{MAX_WIDTH, Network};
 use crate::simd::{LANES, Lane, Lane3};
 
@@ -57,11 +58,22 @@ impl Nbrdf {
     pub fn network(&self) -> &Arc<Network> {
         &self.network
     }
+}
 
-    /// The material's sampler: a proxy that was fitted to the network.
-    #[must_use]
-    pub fn lobes(&self) -> Lobes {
+impl Model for Nbrdf {
+    const KIND: &'static str = "nbrdf";
+
+    /// A proxy that was fitted to the network.
+    fn lobes(&self) -> Lobes {
         self.lobes
+    }
+
+    fn is_isotropic(&self) -> bool {
+        true
+    }
+
+    fn network(&self) -> Option<&Network> {
+        Some(&self.network)
     }
 }
 

@@ -17,6 +17,7 @@ use crate::dispatch;
 use crate::hybrid::check_bound;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
+use crate::model::Model;
 use crate::network::{Layer, MAX_WIDTH, Network};
 use crate::simd::{LANES, Lane, Lane3};
 
@@ -113,11 +114,30 @@ impl Neural {
     pub fn bound(&self) -> f32 {
         self.bound
     }
+}
 
-    /// The material's sampler: a proxy that was fitted to the network.
-    #[must_use]
-    pub fn lobes(&self) -> Lobes {
+impl Model for Neural {
+    const KIND: &'static str = "neural";
+
+    /// A proxy that was fitted to the network.
+    fn lobes(&self) -> Lobes {
         self.lobes
+    }
+
+    fn is_isotropic(&self) -> bool {
+        false
+    }
+
+    fn latent(&self) -> &[f32] {
+        &self.latent
+    }
+
+    fn network(&self) -> Option<&Network> {
+        Some(&self.shared.network)
+    }
+
+    fn with_latent(&self, latent: Vec<f32>) -> Result<Self, String> {
+        Neural::new(Arc::clone(&self.shared), latent, self.bound)
     }
 }
 

@@ -14,19 +14,30 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
-use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use safetensors::tensor::{SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::error::Error;
 use crate::ggx::Ggx;
-use crate::hybrid::{Form, Hybrid};
-use crate::material::Material;
-use crate::microfacet::Microfacet;
-use crate::nbrdf::{self, Nbrdf};
-use crate::network::{Activation, Layer, Network};
-use crate::neural::{self, Neural, Shared};
+use crate::hybrid::Hybrid;
+use crate::material::{Material, with_model};
+use crate::model::Model;
+use crate::nbrdf::Nbrdf;
+use crate::network::Network;
+use crate::neural::Neural;
+
+use codec::Codec;
+use container::{Tensor, Tensors};
+
+mod codec;
+mod container;
+mod names;
+mod write;
+
+pub use names::nearest;
+pub use write::write_whole;
 
 /// Version of the file format that this code writes and reads.
 pub const FORMAT_VERSION: u32 = 1;
@@ -75,7 +86,7 @@ struct Header {
     kind: String,
     color_space: String,
     #[serde(skip_serializing_if = "Option::is_none")]
-    form: Option<Form>,
+    form: Option<Value>,
     materials: Vec<MaterialHeader>,
 }
 
@@ -116,12 +127,8 @@ impl Library {
             if architecture(&entry.material) != architecture(first) {
                 return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
             }
-            if let (Material::Neural(a), Material::Neural(b)) = (first, &entry.material)
-                && !Arc::ptr_eq(a.shared(), b.shared())
-            {
-                let names = format!("\"{}\" and \"{}\"", self.entries[0].name, entry.name);
-                return Err(format!("{names} have different networks, and a neural library has one"));
-            }
+            let together = with_model!(first, first => first.check_together(model_of(&entry.material)));
+            together.map_err(|e| format!("\"{}\" and \"{}\" {e}", self.entries[0].name, entry.name))?;
         }
         Ok(())
     }
@@ -208,19 +215,15 @@ impl Library {
     /// Bytes of the tensors that one material has of its own, and of those that all share.
     #[must_use]
     pub fn tensor_bytes(&self) -> (usize, usize) {
-        let shared_networks = self.shares_network();
         let (mut own, mut shared) = (0, 0);
         for tensor in self.tensors() {
-            let bytes = tensor.data.len() * size_of::<f32>();
-            let is_shared = tensor.name.starts_with("frames.")
-                || (tensor.name.starts_with("network.") && shared_networks);
-            if is_shared {
-                shared += bytes;
+            if tensor.shared {
+                shared += tensor.bytes.len();
             } else {
-                own += bytes / self.entries.len();
+                own += tensor.bytes.len();
             }
         }
-        (own, shared)
+        (own / self.entries.len(), shared)
     }
 
     /// Whether one network serves all materials.
@@ -236,10 +239,7 @@ impl Library {
             format: FORMAT_VERSION,
             kind: self.kind().to_owned(),
             color_space: COLOR_SPACE.to_owned(),
-            form: match &self.entries[0].material {
-                Material::Hybrid(m) => Some(m.form()),
-                _ => None,
-            },
+            form: form(&self.entries[0].material),
             materials: self
                 .entries
                 .iter()
@@ -249,8 +249,7 @@ impl Library {
         let json = serde_json::to_string(&header).expect("strings and numbers always serialise");
         let tensors = self.tensors();
         let views = tensors.iter().map(|tensor| {
-            let bytes = bytemuck::cast_slice(&tensor.data);
-            let view = TensorView::new(Dtype::F32, tensor.shape.clone(), bytes);
+            let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
             (tensor.name.clone(), view.expect("the shape is made from the data"))
         });
         let metadata = HashMap::from([("glimt".to_owned(), json)]);
@@ -258,250 +257,33 @@ impl Library {
     }
 
     fn tensors(&self) -> Vec<Tensor> {
-        let rows = |name: &str, values: Vec<Vec<f32>>| Tensor {
-            name: name.to_owned(),
-            shape: vec![values.len(), values[0].len()],
-            data: values.concat(),
-        };
-        let each = |f: &dyn Fn(&Material) -> Vec<f32>| -> Vec<Vec<f32>> {
-            self.entries.iter().map(|entry| f(&entry.material)).collect()
-        };
-        let mut tensors = Vec::new();
-        if let Some(microfacets) =
-            self.entries.iter().map(|entry| entry.material.microfacet().copied()).collect::<Option<Vec<_>>>()
+        fn encode<'a, M: Codec + 'a>(_: &M, entries: &'a [Entry]) -> Vec<Tensor>
+        where
+            &'a M: TryFrom<&'a Material>,
         {
-            let isotropic = microfacets.iter().all(Microfacet::is_isotropic);
-            tensors.push(rows("kd", microfacets.iter().map(|m| m.kd.to_vec()).collect()));
-            tensors.push(rows("eta", microfacets.iter().map(|m| m.eta.to_vec()).collect()));
-            let alphas = microfacets.iter().map(|m| m.alpha[..if isotropic { 1 } else { 2 }].to_vec());
-            tensors.push(rows("alpha", alphas.collect()));
+            M::encode(&entries.iter().map(|entry| model_of(&entry.material)).collect::<Vec<_>>())
         }
-        if !self.entries[0].material.latent().is_empty() {
-            tensors.push(rows("latent", each(&|m| m.latent().to_vec())));
-        }
-        let bounds: Option<Vec<f32>> = self
-            .entries
-            .iter()
-            .map(|entry| match &entry.material {
-                Material::Hybrid(m) => Some(m.bound()),
-                Material::Neural(m) => Some(m.bound()),
-                Material::Ggx(_) | Material::Nbrdf(_) => None,
-            })
-            .collect();
-        if let Some(data) = bounds {
-            tensors.push(Tensor { name: "bound".to_owned(), shape: vec![data.len()], data });
-        }
-        tensors.extend(self.network_tensors());
-        if let Material::Neural(m) = &self.entries[0].material {
-            let frames = &m.shared().frames;
-            let shape = vec![frames.outputs(), frames.inputs()];
-            tensors.push(Tensor { name: "frames.weight".to_owned(), shape, data: frames.weight.clone() });
-            let shape = vec![frames.outputs()];
-            tensors.push(Tensor { name: "frames.bias".to_owned(), shape, data: frames.bias.clone() });
-        }
-        tensors
+        with_model!(&self.entries[0].material, first => encode(first, &self.entries))
     }
+}
 
-    fn network_tensors(&self) -> Vec<Tensor> {
-        let networks: Vec<&Network> =
-            self.entries.iter().filter_map(|entry| entry.material.network()).collect();
-        let Some(first) = networks.first() else { return Vec::new() };
-        let (stored, leading) = if self.shares_network() {
-            (&networks[..1], vec![])
-        } else {
-            (&networks[..], vec![networks.len()])
-        };
-        let mut tensors = Vec::new();
-        for (i, layer) in first.layers().iter().enumerate() {
-            let stack = |part: &dyn Fn(&Layer) -> &[f32]| -> Vec<f32> {
-                stored.iter().flat_map(|network| part(&network.layers()[i]).iter().copied()).collect()
-            };
-            let shape = [leading.clone(), vec![layer.outputs(), layer.inputs()]].concat();
-            let name = format!("network.{i}.weight");
-            tensors.push(Tensor { name, shape, data: stack(&|layer| &layer.weight) });
-            let shape = [leading.clone(), vec![layer.outputs()]].concat();
-            let name = format!("network.{i}.bias");
-            tensors.push(Tensor { name, shape, data: stack(&|layer| &layer.bias) });
-        }
-        tensors
-    }
+/// The model in a material of a library, all of whose materials are of that model.
+fn model_of<'a, M: 'a>(material: &'a Material) -> &'a M
+where
+    &'a M: TryFrom<&'a Material>,
+{
+    material.try_into().unwrap_or_else(|_| unreachable!("a library's materials are of one model"))
+}
+
+fn form(material: &Material) -> Option<Value> {
+    with_model!(material, model => Codec::form(model))
 }
 
 /// Model and sizes: what the materials of one library have in common.
-fn architecture(material: &Material) -> (&'static str, Option<Form>, Vec<(usize, usize)>) {
-    let form = match material {
-        Material::Hybrid(m) => Some(m.form()),
-        _ => None,
-    };
+fn architecture(material: &Material) -> (&'static str, Option<Value>, Vec<(usize, usize)>) {
     let layers = material.network().map_or(&[][..], Network::layers);
-    (material.kind(), form, layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect())
-}
-
-/// Writes `bytes` beside `path` and renames, so that `path` is never half a file.
-///
-/// # Errors
-/// Whatever the file system says, and that `path` is there but no file: a rename would replace a
-/// device or a pipe.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    if path.exists() && !path.is_file() {
-        return Err(std::io::Error::other("it is not a regular file"));
-    }
-    let mut name = path.file_name().ok_or(std::io::ErrorKind::IsADirectory)?.to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let part = path.with_file_name(name);
-    std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path)).inspect_err(|_| {
-        // Best effort: the error that matters is the one that is returned.
-        let _ = std::fs::remove_file(&part);
-    })
-}
-
-/// Names that resemble `name`, best first: those that contain it or are contained in it, and those
-/// within a few edits.
-#[must_use]
-pub fn nearest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<String> {
-    const MOST: usize = 3;
-    let wanted = name.to_lowercase();
-    let mut scored: Vec<(usize, &str)> = names
-        .filter_map(|candidate| {
-            let lower = candidate.to_lowercase();
-            let contains = !wanted.is_empty() && (lower.contains(&wanted) || wanted.contains(&lower));
-            let distance = if contains { 0 } else { edit_distance(&wanted, &lower) };
-            (contains || distance <= wanted.len().max(lower.len()) / 3).then_some((distance, candidate))
-        })
-        .collect();
-    scored.sort();
-    scored.into_iter().take(MOST).map(|(_, name)| name.to_owned()).collect()
-}
-
-/// Levenshtein's distance.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, &cb) in b.iter().enumerate() {
-            let replace = diagonal + usize::from(ca != cb);
-            diagonal = row[j + 1];
-            row[j + 1] = replace.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
-}
-
-struct Tensor {
-    name: String,
-    shape: Vec<usize>,
-    data: Vec<f32>,
-}
-
-/// A file's tensors by name, checked as they are taken.
-struct Tensors<'a> {
-    file: SafeTensors<'a>,
-    materials: usize,
-}
-
-impl Tensors<'_> {
-    fn take(&self, name: &str) -> Result<Tensor, String> {
-        let view = self.file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
-        if view.dtype() != Dtype::F32 {
-            return Err(format!("the tensor \"{name}\" is {:?}, expected F32", view.dtype()));
-        }
-        // Copied float by float: the bytes in a file have no alignment to rely on.
-        let data: Vec<f32> =
-            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-        if let Some(at) = data.iter().position(|x| !x.is_finite()) {
-            return Err(format!(
-                "the tensor \"{name}\" holds {} at index {at}, expected finite numbers",
-                data[at]
-            ));
-        }
-        Ok(Tensor { name: name.to_owned(), shape: view.shape().to_vec(), data })
-    }
-
-    /// A tensor with a row of `width` numbers per material.
-    fn rows<const WIDTH: usize>(&self, name: &str) -> Result<Vec<[f32; WIDTH]>, String> {
-        let tensor = self.take(name)?;
-        if tensor.shape != [self.materials, WIDTH] {
-            return Err(unexpected_shape(&tensor, &format!("[{}, {WIDTH}]", self.materials)));
-        }
-        Ok(tensor.data.as_chunks().0.to_vec())
-    }
-
-    /// Latent codes; none where the file has none, which is so where every material has a network.
-    fn latents(&self) -> Result<Vec<Vec<f32>>, String> {
-        if self.file.tensor("latent").is_err() {
-            return Ok(vec![Vec::new(); self.materials]);
-        }
-        let tensor = self.take("latent")?;
-        match tensor.shape[..] {
-            [materials, width] if materials == self.materials && width > 0 => {
-                Ok(tensor.data.chunks_exact(width).map(<[f32]>::to_vec).collect())
-            }
-            _ => Err(unexpected_shape(&tensor, &format!("[{}, l]", self.materials))),
-        }
-    }
-
-    fn bounds(&self) -> Result<Vec<f32>, String> {
-        let tensor = self.take("bound")?;
-        if tensor.shape != [self.materials] {
-            return Err(unexpected_shape(&tensor, &format!("[{}]", self.materials)));
-        }
-        Ok(tensor.data)
-    }
-
-    fn microfacets(&self) -> Result<Vec<Microfacet>, String> {
-        let (kd, eta) = (self.rows("kd")?, self.rows("eta")?);
-        let alpha = match self.rows::<1>("alpha") {
-            Ok(alpha) => alpha.into_iter().map(|[a]| [a, a]).collect(),
-            Err(_) => self.rows::<2>("alpha")?,
-        };
-        Ok((0..self.materials).map(|i| Microfacet { kd: kd[i], eta: eta[i], alpha: alpha[i] }).collect())
-    }
-
-    /// One network per material, the same one where they share it.
-    fn networks(&self, features: usize, activation: Activation) -> Result<Vec<Arc<Network>>, String> {
-        let mut stacks: Vec<[Tensor; 2]> = Vec::new();
-        while self.file.tensor(&format!("network.{}.weight", stacks.len())).is_ok() {
-            let i = stacks.len();
-            stacks
-                .push([self.take(&format!("network.{i}.weight"))?, self.take(&format!("network.{i}.bias"))?]);
-        }
-        let own = stacks.first().is_some_and(|[weight, _]| weight.shape.len() == 3);
-        let count = if own { self.materials } else { 1 };
-        let build = |index: usize| {
-            let layers = stacks.iter().map(|stack| layer_at(stack, own.then_some(count), index));
-            Network::new(layers.collect::<Result<_, _>>()?, features, activation).map(Arc::new)
-        };
-        let networks = (0..count).map(build).collect::<Result<Vec<_>, _>>()?;
-        Ok((0..self.materials).map(|i| networks[if own { i } else { 0 }].clone()).collect())
-    }
-}
-
-/// One network's layer from the tensors of all: weight (n, out, in) and bias (n, out), or without
-/// the first axis.
-fn layer_at([weight, bias]: &[Tensor; 2], count: Option<usize>, index: usize) -> Result<Layer, String> {
-    let axes = usize::from(count.is_some());
-    let fits = weight.shape.len() == axes + 2
-        && bias.shape.len() == axes + 1
-        && weight.shape[..=axes] == bias.shape[..]
-        && count.is_none_or(|n| weight.shape[0] == n)
-        && !weight.data.is_empty();
-    if !fits {
-        return Err(format!(
-            "{} of shape {:?} and {} of shape {:?} do not make a layer",
-            weight.name, weight.shape, bias.name, bias.shape
-        ));
-    }
-    let (outputs, inputs) = (weight.shape[axes], weight.shape[axes + 1]);
-    Ok(Layer {
-        weight: weight.data[index * outputs * inputs..][..outputs * inputs].to_vec(),
-        bias: bias.data[index * outputs..][..outputs].to_vec(),
-    })
-}
-
-fn unexpected_shape(tensor: &Tensor, expected: &str) -> String {
-    format!("the tensor \"{}\" has shape {:?}, expected {expected}", tensor.name, tensor.shape)
+    let sizes = layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect();
+    (material.kind(), form(material), sizes)
 }
 
 fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
@@ -528,8 +310,8 @@ fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
         return Err("it holds no material".into());
     }
     let file = SafeTensors::deserialize(bytes).map_err(container)?;
-    let tensors = Tensors { file, materials: header.materials.len() };
-    let materials = decode_materials(&header, &tensors)?;
+    let names = header.materials.iter().map(|material| material.name.as_str()).collect();
+    let materials = decode_materials(&header, &Tensors { file, names })?;
     Ok(header
         .materials
         .into_iter()
@@ -544,48 +326,18 @@ struct FormatVersion {
     format: u32,
 }
 
-fn decode_materials(header: &Header, tensors: &Tensors) -> Result<Vec<Material>, String> {
-    let named = |i: usize| move |e: String| format!("material \"{}\": {e}", header.materials[i].name);
-    let each = 0..header.materials.len();
+fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, String> {
+    fn decode<M: Codec>(header: &Header, file: &Tensors) -> Result<Vec<Material>, String>
+    where
+        Material: From<M>,
+    {
+        Ok(M::decode(file, header.form.as_ref())?.into_iter().map(Material::from).collect())
+    }
     match header.kind.as_str() {
-        "ggx" => {
-            let microfacets = tensors.microfacets()?;
-            each.map(|i| Ggx::new(microfacets[i]).map(Material::Ggx).map_err(named(i))).collect()
-        }
-        "hybrid" => {
-            let form = header.form.ok_or("its metadata has no \"form\", which a hybrid library needs")?;
-            let (microfacets, latents, bounds) =
-                (tensors.microfacets()?, tensors.latents()?, tensors.bounds()?);
-            let networks = tensors.networks(form.features(), Activation::HardGelu)?;
-            each.map(|i| {
-                Hybrid::new(form, networks[i].clone(), microfacets[i], latents[i].clone(), bounds[i])
-                    .map(Material::Hybrid)
-                    .map_err(named(i))
-            })
-            .collect()
-        }
-        "neural" => {
-            let (latents, bounds) = (tensors.latents()?, tensors.bounds()?);
-            let networks = tensors.networks(neural::FEATURES, Activation::HardGelu)?;
-            let frames = layer_at(&[tensors.take("frames.weight")?, tensors.take("frames.bias")?], None, 0)?;
-            if networks.iter().any(|network| !Arc::ptr_eq(network, &networks[0])) {
-                return Err(
-                    "it has one network per material, expected one for all, as its model is neural".into()
-                );
-            }
-            let network = Arc::unwrap_or_clone(networks[0].clone());
-            let shared = Arc::new(Shared { network, frames });
-            each.map(|i| {
-                Neural::new(shared.clone(), latents[i].clone(), bounds[i])
-                    .map(Material::Neural)
-                    .map_err(named(i))
-            })
-            .collect()
-        }
-        "nbrdf" => {
-            let networks = tensors.networks(nbrdf::FEATURES, Activation::Relu)?;
-            each.map(|i| Nbrdf::new(networks[i].clone()).map(Material::Nbrdf).map_err(named(i))).collect()
-        }
+        Ggx::KIND => decode::<Ggx>(header, file),
+        Hybrid::KIND => decode::<Hybrid>(header, file),
+        Neural::KIND => decode::<Neural>(header, file),
+        Nbrdf::KIND => decode::<Nbrdf>(header, file),
         other => Err(format!("its model is \"{other}\", expected ggx, hybrid, neural or nbrdf")),
     }
 }
@@ -595,9 +347,14 @@ mod tests {
     use super::*;
     use crate::brdf::Brdf;
     use crate::features::Inputs;
+    use crate::hybrid::Form;
+    use crate::microfacet::Microfacet;
     use crate::network::tests::{patterned, patterned_from};
+    use crate::network::{Activation, Layer};
+    use crate::neural::{self, Shared};
     use glam::Vec3;
     use proptest::prelude::*;
+    use std::sync::Arc;
 
     const PARAMETERS: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
 

@@ -1,0 +1,176 @@
+//! How each model's materials are laid out in tensors.
+
+use std::sync::Arc;
+
+use serde_json::Value;
+
+use super::container::{Tensor, Tensors, layer_at};
+use crate::ggx::Ggx;
+use crate::hybrid::{Form, Hybrid};
+use crate::microfacet::Microfacet;
+use crate::model::Model;
+use crate::nbrdf::{self, Nbrdf};
+use crate::network::{Activation, Network};
+use crate::neural::{self, Neural, Shared};
+
+/// A model's part of the library file.
+pub(crate) trait Codec: Model {
+    /// What the materials of a library have in common and no tensor's shape tells, for the metadata.
+    fn form(&self) -> Option<Value> {
+        None
+    }
+
+    /// The tensors of a library's materials; never empty.
+    fn encode(materials: &[&Self]) -> Vec<Tensor>;
+
+    /// The materials of a file.
+    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String>;
+
+    /// Whether two materials can stand in one library, beyond having the same form and network sizes.
+    fn check_together(&self, _: &Self) -> Result<(), String> {
+        Ok(())
+    }
+}
+
+impl Codec for Ggx {
+    fn encode(materials: &[&Self]) -> Vec<Tensor> {
+        microfacet_tensors(materials.iter().map(|m| *m.microfacet()).collect())
+    }
+
+    fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+        let microfacets = microfacets(file)?;
+        file.each(|i| Ggx::new(microfacets[i]))
+    }
+}
+
+impl Codec for Hybrid {
+    fn form(&self) -> Option<Value> {
+        Some(serde_json::to_value(Hybrid::form(self)).expect("a form is names and switches"))
+    }
+
+    fn encode(materials: &[&Self]) -> Vec<Tensor> {
+        let mut tensors = microfacet_tensors(materials.iter().map(|m| *m.microfacet()).collect());
+        tensors.extend(latent_tensor(materials));
+        tensors.push(bound_tensor(materials.iter().map(|m| m.bound()).collect()));
+        tensors.extend(network_tensors(&materials.iter().map(|m| Hybrid::network(m)).collect::<Vec<_>>()));
+        tensors
+    }
+
+    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String> {
+        let form = form.ok_or("its metadata has no \"form\", which a hybrid library needs")?;
+        let form: Form = serde::Deserialize::deserialize(form)
+            .map_err(|e| format!("its \"glimt\" metadata is broken: the form: {e}"))?;
+        let (microfacets, latents, bounds) = (microfacets(file)?, file.latents()?, file.bounds()?);
+        let networks = file.networks(form.features(), Activation::HardGelu)?;
+        file.each(|i| Hybrid::new(form, networks[i].clone(), microfacets[i], latents[i].clone(), bounds[i]))
+    }
+}
+
+impl Codec for Neural {
+    fn encode(materials: &[&Self]) -> Vec<Tensor> {
+        let shared = materials[0].shared();
+        let frames = &shared.frames;
+        let mut tensors: Vec<Tensor> = latent_tensor(materials).into_iter().collect();
+        tensors.push(bound_tensor(materials.iter().map(|m| m.bound()).collect()));
+        tensors.extend(layers_tensors(&[&shared.network], false));
+        tensors.push(Tensor::shared(
+            "frames.weight",
+            vec![frames.outputs(), frames.inputs()],
+            &frames.weight,
+        ));
+        tensors.push(Tensor::shared("frames.bias", vec![frames.outputs()], &frames.bias));
+        tensors
+    }
+
+    fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+        let (latents, bounds) = (file.latents()?, file.bounds()?);
+        let networks = file.networks(neural::FEATURES, Activation::HardGelu)?;
+        let frames = layer_at(&[file.take("frames.weight")?, file.take("frames.bias")?], None, 0)?;
+        if networks.iter().any(|network| !Arc::ptr_eq(network, &networks[0])) {
+            return Err(
+                "it has one network per material, expected one for all, as its model is neural".into()
+            );
+        }
+        let network = Arc::unwrap_or_clone(networks[0].clone());
+        let shared = Arc::new(Shared { network, frames });
+        file.each(|i| Neural::new(shared.clone(), latents[i].clone(), bounds[i]))
+    }
+
+    fn check_together(&self, other: &Self) -> Result<(), String> {
+        if Arc::ptr_eq(self.shared(), other.shared()) {
+            Ok(())
+        } else {
+            Err("have different networks, and a neural library has one".into())
+        }
+    }
+}
+
+impl Codec for Nbrdf {
+    fn encode(materials: &[&Self]) -> Vec<Tensor> {
+        let networks: Vec<&Network> = materials.iter().map(|m| &**m.network()).collect();
+        layers_tensors(&networks, true)
+    }
+
+    fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+        let networks = file.networks(nbrdf::FEATURES, Activation::Relu)?;
+        file.each(|i| Nbrdf::new(networks[i].clone()))
+    }
+}
+
+fn microfacet_tensors(microfacets: Vec<Microfacet>) -> Vec<Tensor> {
+    let width = if microfacets.iter().all(Microfacet::is_isotropic) { 1 } else { 2 };
+    vec![
+        Tensor::rows("kd", &microfacets.iter().map(|m| m.kd).collect::<Vec<_>>()),
+        Tensor::rows("eta", &microfacets.iter().map(|m| m.eta).collect::<Vec<_>>()),
+        Tensor::rows("alpha", &microfacets.iter().map(|m| &m.alpha[..width]).collect::<Vec<_>>()),
+    ]
+}
+
+fn microfacets(file: &Tensors) -> Result<Vec<Microfacet>, String> {
+    let (kd, eta) = (file.rows("kd")?, file.rows("eta")?);
+    let alpha = match file.rows::<1>("alpha") {
+        Ok(alpha) => alpha.into_iter().map(|[a]| [a, a]).collect(),
+        Err(_) => file.rows::<2>("alpha")?,
+    };
+    Ok((0..file.materials()).map(|i| Microfacet { kd: kd[i], eta: eta[i], alpha: alpha[i] }).collect())
+}
+
+/// None where every material has a network of its own and no code.
+fn latent_tensor<M: Model>(materials: &[&M]) -> Option<Tensor> {
+    let latents: Vec<&[f32]> = materials.iter().map(|&m| Model::latent(m)).collect();
+    (!latents[0].is_empty()).then(|| Tensor::rows("latent", &latents))
+}
+
+fn bound_tensor(bounds: Vec<f32>) -> Tensor {
+    Tensor::own("bound", vec![bounds.len()], &bounds)
+}
+
+/// One network where all materials share it, else one per material.
+fn network_tensors(networks: &[&Arc<Network>]) -> Vec<Tensor> {
+    if networks.iter().all(|network| Arc::ptr_eq(network, networks[0])) {
+        layers_tensors(&[networks[0]], false)
+    } else {
+        layers_tensors(&networks.iter().map(|&network| &**network).collect::<Vec<_>>(), true)
+    }
+}
+
+/// The layers of `networks`, which have the same sizes, stacked along a leading axis if `own`.
+fn layers_tensors(networks: &[&Network], own: bool) -> Vec<Tensor> {
+    let tensor = |name: String, shape: &[usize], part: &dyn Fn(&Network) -> Vec<f32>| {
+        let data: Vec<f32> = networks.iter().flat_map(|&network| part(network)).collect();
+        if own {
+            Tensor::own(&name, [&[networks.len()], shape].concat(), &data)
+        } else {
+            Tensor::shared(&name, shape.to_vec(), &data)
+        }
+    };
+    let mut tensors = Vec::new();
+    for (i, layer) in networks[0].layers().iter().enumerate() {
+        let (outputs, inputs) = (layer.outputs(), layer.inputs());
+        let weight = |network: &Network| network.layers()[i].weight.clone();
+        tensors.push(tensor(format!("network.{i}.weight"), &[outputs, inputs], &weight));
+        let bias = |network: &Network| network.layers()[i].bias.clone();
+        tensors.push(tensor(format!("network.{i}.bias"), &[outputs], &bias));
+    }
+    tensors
+}

@@ -1,0 +1,164 @@
+//! The container: named, typed tensors, checked as they are taken from a file.
+
+use std::sync::Arc;
+
+use safetensors::tensor::{Dtype, SafeTensors};
+
+use crate::network::{Activation, Layer, Network};
+
+/// A tensor that is written or was read, little-endian.
+pub(crate) struct Tensor {
+    pub name: String,
+    pub shape: Vec<usize>,
+    pub dtype: Dtype,
+    pub bytes: Vec<u8>,
+    /// Whether all materials use it, rather than each a part of its own.
+    pub shared: bool,
+}
+
+impl Tensor {
+    /// Numbers of which each material has its own, along the first axis.
+    pub fn own(name: &str, shape: Vec<usize>, data: &[f32]) -> Tensor {
+        let bytes = data.iter().flat_map(|x| x.to_le_bytes()).collect();
+        Tensor { name: name.to_owned(), shape, dtype: Dtype::F32, bytes, shared: false }
+    }
+
+    /// Numbers that all materials use.
+    pub fn shared(name: &str, shape: Vec<usize>, data: &[f32]) -> Tensor {
+        Tensor { shared: true, ..Tensor::own(name, shape, data) }
+    }
+
+    /// One row per material.
+    pub fn rows<Row: AsRef<[f32]>>(name: &str, rows: &[Row]) -> Tensor {
+        let data: Vec<f32> = rows.iter().flat_map(|row| row.as_ref().iter().copied()).collect();
+        Tensor::own(name, vec![rows.len(), data.len() / rows.len()], &data)
+    }
+}
+
+/// A float32 tensor of a file.
+pub(crate) struct Numbers {
+    pub name: String,
+    pub shape: Vec<usize>,
+    pub data: Vec<f32>,
+}
+
+impl Numbers {
+    pub fn unexpected_shape(&self, expected: &str) -> String {
+        format!("the tensor \"{}\" has shape {:?}, expected {expected}", self.name, self.shape)
+    }
+}
+
+/// A file's tensors by name, checked as they are taken.
+pub(crate) struct Tensors<'a> {
+    pub file: SafeTensors<'a>,
+    /// Names of the materials.
+    pub names: Vec<&'a str>,
+}
+
+impl Tensors<'_> {
+    pub fn materials(&self) -> usize {
+        self.names.len()
+    }
+
+    /// One material for each name; an error names the material.
+    pub fn each<M>(&self, material: impl Fn(usize) -> Result<M, String>) -> Result<Vec<M>, String> {
+        let named = |i: usize| material(i).map_err(|e| format!("material \"{}\": {e}", self.names[i]));
+        (0..self.materials()).map(named).collect()
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.file.tensor(name).is_ok()
+    }
+
+    pub fn take(&self, name: &str) -> Result<Numbers, String> {
+        let view = self.file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
+        if view.dtype() != Dtype::F32 {
+            return Err(format!("the tensor \"{name}\" is {:?}, expected F32", view.dtype()));
+        }
+        // Copied float by float: the bytes in a file have no alignment to rely on.
+        let data: Vec<f32> =
+            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        if let Some(at) = data.iter().position(|x| !x.is_finite()) {
+            return Err(format!(
+                "the tensor \"{name}\" holds {} at index {at}, expected finite numbers",
+                data[at]
+            ));
+        }
+        Ok(Numbers { name: name.to_owned(), shape: view.shape().to_vec(), data })
+    }
+
+    /// A tensor with a row of `width` numbers per material.
+    pub fn rows<const WIDTH: usize>(&self, name: &str) -> Result<Vec<[f32; WIDTH]>, String> {
+        let tensor = self.take(name)?;
+        if tensor.shape != [self.materials(), WIDTH] {
+            return Err(tensor.unexpected_shape(&format!("[{}, {WIDTH}]", self.materials())));
+        }
+        Ok(tensor.data.as_chunks().0.to_vec())
+    }
+
+    /// Latent codes; none where the file has none, which is so where every material has a network.
+    pub fn latents(&self) -> Result<Vec<Vec<f32>>, String> {
+        if !self.has("latent") {
+            return Ok(vec![Vec::new(); self.materials()]);
+        }
+        let tensor = self.take("latent")?;
+        match tensor.shape[..] {
+            [materials, width] if materials == self.materials() && width > 0 => {
+                Ok(tensor.data.chunks_exact(width).map(<[f32]>::to_vec).collect())
+            }
+            _ => Err(tensor.unexpected_shape(&format!("[{}, l]", self.materials()))),
+        }
+    }
+
+    pub fn bounds(&self) -> Result<Vec<f32>, String> {
+        let tensor = self.take("bound")?;
+        if tensor.shape != [self.materials()] {
+            return Err(tensor.unexpected_shape(&format!("[{}]", self.materials())));
+        }
+        Ok(tensor.data)
+    }
+
+    /// One network per material, the same one where they share it.
+    pub fn networks(&self, features: usize, activation: Activation) -> Result<Vec<Arc<Network>>, String> {
+        let mut stacks: Vec<[Numbers; 2]> = Vec::new();
+        while self.has(&format!("network.{}.weight", stacks.len())) {
+            let i = stacks.len();
+            stacks
+                .push([self.take(&format!("network.{i}.weight"))?, self.take(&format!("network.{i}.bias"))?]);
+        }
+        let own = stacks.first().is_some_and(|[weight, _]| weight.shape.len() == 3);
+        let count = if own { self.materials() } else { 1 };
+        let build = |index: usize| {
+            let layers = stacks.iter().map(|stack| layer_at(stack, own.then_some(count), index));
+            Network::new(layers.collect::<Result<_, _>>()?, features, activation).map(Arc::new)
+        };
+        let networks = (0..count).map(build).collect::<Result<Vec<_>, _>>()?;
+        Ok((0..self.materials()).map(|i| networks[if own { i } else { 0 }].clone()).collect())
+    }
+}
+
+/// One network's layer from the tensors of all: weight (n, out, in) and bias (n, out), or without
+/// the first axis.
+pub(crate) fn layer_at(
+    [weight, bias]: &[Numbers; 2],
+    count: Option<usize>,
+    index: usize,
+) -> Result<Layer, String> {
+    let axes = usize::from(count.is_some());
+    let fits = weight.shape.len() == axes + 2
+        && bias.shape.len() == axes + 1
+        && weight.shape[..=axes] == bias.shape[..]
+        && count.is_none_or(|n| weight.shape[0] == n)
+        && !weight.data.is_empty();
+    if !fits {
+        return Err(format!(
+            "{} of shape {:?} and {} of shape {:?} do not make a layer",
+            weight.name, weight.shape, bias.name, bias.shape
+        ));
+    }
+    let (outputs, inputs) = (weight.shape[axes], weight.shape[axes + 1]);
+    Ok(Layer {
+        weight: weight.data[index * outputs * inputs..][..outputs * inputs].to_vec(),
+        bias: bias.data[index * outputs..][..outputs].to_vec(),
+    })
+}
