@@ -42,7 +42,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let library = Library::open(&arguments.library)?;
     let sources = inputs::open(&arguments.files)?;
     let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
-    let inputs = fitting::inputs(&sources, &fitting::command(&files))?;
+    let inputs = fitting::inputs(&sources, &fitting::command(&files), true)?;
 
     let mut watch = Watch::new()?;
     let mut report = |progress: &_, state: &_| watch.report(progress, state);

@@ -23,7 +23,8 @@ use crate::{Usage, inputs, output};
 /// The same files, options and seed give the same library, on any number of threads. An interrupt
 /// (Ctrl-C) stops the fit and saves a checkpoint beside the output; the same command with --resume goes
 /// on from it, to the same result. When the fit is done, its errors against the inputs are printed, over a
-/// million pairs of cosine-distributed directions, and stored in the library.
+/// million pairs of cosine-distributed directions, and stored in the library. Scattered samples are fitted to
+/// at their own directions, every sample counting the same, and the errors are the means over them.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Files, directories or globs to fit to
@@ -64,6 +65,10 @@ pub struct Arguments {
     /// Leave the loss of the analytic part out (hybrid)
     #[arg(long)]
     no_analytic_loss: bool,
+    /// Scattered samples (.csv, .npy) are of an anisotropic material; isotropic if not given. The other
+    /// formats tell
+    #[arg(long)]
+    anisotropic: bool,
     /// Steps of the optimiser (hybrid and neural; the analytic part always takes its own 1,500)
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
     steps: u64,
@@ -195,7 +200,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let checkpoint_path = checkpoint_path(path);
     let resume = arguments.resume.then(|| Checkpoint::open(&checkpoint_path)).transpose()?;
     let sources = inputs::open(&arguments.files)?;
-    let inputs = fitting::inputs(&sources, &fitting::command(&arguments.files))?;
+    let inputs = fitting::inputs(&sources, &fitting::command(&arguments.files), !arguments.anisotropic)?;
 
     let mut watch = Watch::new()?;
     let outcome = fit(&inputs, &options, resume, &mut |progress, state| watch.report(progress, state))?;

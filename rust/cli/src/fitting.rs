@@ -10,20 +10,21 @@ use anyhow::{Context, Result, bail};
 use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{Brdf, Material};
-use glimt_files::{Source, sha256};
-use glimt_fit::Input;
+use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::{Progress, State};
+use glimt_fit::{Input, Truth};
 use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
 use indicatif::ProgressBar;
 
 use crate::output;
 
-/// The materials of `sources` to fit to.
+/// The materials of `sources` to fit to. Scattered samples cannot tell their symmetry: `samples_isotropic`
+/// does.
 ///
 /// # Errors
 /// Two materials of one name, before anything is fitted to them.
-pub fn inputs<'a>(sources: &'a [Source], command: &str) -> Result<Vec<Input<'a>>> {
+pub fn inputs<'a>(sources: &'a [Source], command: &str, samples_isotropic: bool) -> Result<Vec<Input<'a>>> {
     let mut inputs: Vec<Input> = Vec::new();
     for source in sources {
         let path = source.path();
@@ -37,12 +38,17 @@ pub fn inputs<'a>(sources: &'a [Source], command: &str) -> Result<Vec<Input<'a>>
             if inputs.iter().any(|other| other.name == name) {
                 bail!("two materials are named \"{name}\"; the second is in {}", path.display());
             }
-            let brdf = source.brdf(Some(&name))?;
-            let isotropic = match source {
-                Source::Library(library) => library.material(Some(&name))?.is_isotropic(),
-                Source::Table { table, .. } => table.measured().is_isotropic(),
+            let (truth, isotropic) = match source {
+                Source::Library(library) => {
+                    let material = library.material(Some(&name))?;
+                    (Truth::Brdf(material), material.is_isotropic())
+                }
+                Source::Table { table, .. } => (Truth::Brdf(&**table), table.measured().is_isotropic()),
+                Source::Samples { samples: Samples { light, view, f, .. }, .. } => {
+                    (Truth::Samples { light, view, f }, samples_isotropic)
+                }
             };
-            inputs.push(Input { name, brdf, isotropic, origin: origin.clone() });
+            inputs.push(Input { name, truth, isotropic, origin: origin.clone() });
         }
     }
     Ok(inputs)
@@ -115,11 +121,15 @@ impl Watch {
 /// Measures how far every entry is from the input that it was fitted to, and keeps the errors in it:
 /// of the model, of its analytic part alone where it has one besides (`analytic_…`), and of the input
 /// against itself with light and view exchanged (`swapped_…`), which is a measurement's own noise.
+/// Scattered samples are measured against at the samples themselves, and have no other order.
 pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
     let protocol = Protocol::reference();
     let bar = output::progress_bar(entries.len(), "measure");
     for (entry, input) in entries.iter_mut().zip(inputs) {
-        let against = |model: &dyn Brdf| BrdfError::measure(input.brdf, model, &protocol);
+        let against = |model: &dyn Brdf| match input.truth {
+            Truth::Brdf(brdf) => BrdfError::measure(brdf, model, &protocol),
+            Truth::Samples { light, view, f } => BrdfError::at_samples(light, view, f, model),
+        };
         let error = against(&entry.material);
         let metrics = &mut entry.origin.metrics;
         let mut keep = |key: &str, value: f64| metrics.insert(key.to_owned(), value);
@@ -134,9 +144,11 @@ pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
             keep("analytic_smape", analytic.smape);
             keep("analytic_log_mae", analytic.log_mae);
         }
-        let swapped = against(&Swapped(input.brdf));
-        keep("swapped_smape", swapped.smape);
-        keep("swapped_log_mae", swapped.log_mae);
+        if let Truth::Brdf(brdf) = input.truth {
+            let swapped = against(&Swapped(brdf));
+            keep("swapped_smape", swapped.smape);
+            keep("swapped_log_mae", swapped.log_mae);
+        }
         bar.inc(1);
     }
 }

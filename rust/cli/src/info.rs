@@ -7,8 +7,8 @@ use anyhow::{Context, Result};
 use glimt_core::hybrid::Form;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::network::{Activation, Network};
-use glimt_core::{Library, Material};
-use glimt_files::{Source, Table};
+use glimt_core::{Library, Material, Vec3};
+use glimt_files::{Samples, Source, Table};
 use serde::Serialize;
 
 use crate::{inputs, output};
@@ -67,6 +67,21 @@ enum Content {
         /// Negative values in the file, which f takes as 0.
         clamped: usize,
     },
+    Samples {
+        material: String,
+        /// Samples above the horizon.
+        samples: usize,
+        /// Negative values in the file, which are taken as 0.
+        clamped: usize,
+        /// Samples at the horizon, which are left out.
+        grazing: usize,
+        /// Largest angle between the normal and a direction, in degrees: of the lights, of the views.
+        largest_theta: [f32; 2],
+        /// Mean of f.
+        mean: [f32; 3],
+        /// Largest f.
+        largest: [f32; 3],
+    },
 }
 
 #[derive(Serialize)]
@@ -100,6 +115,7 @@ impl Info {
         let content = match source {
             Source::Library(library) => library_content(library),
             Source::Table { table, .. } => table_content(table),
+            Source::Samples { samples, .. } => samples_content(source.names().remove(0), samples),
         };
         Ok(Info { file, bytes: metadata.len(), kind: source.kind(), content })
     }
@@ -118,6 +134,17 @@ impl Info {
                 let symmetry = if *isotropic { "isotropic" } else { "anisotropic" };
                 line(&mut text, &format!("  symmetry     {symmetry}"));
                 line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
+            }
+            Content::Samples { material, samples, clamped, grazing, largest_theta, mean, largest } => {
+                let samples = thousands(*samples as u64);
+                line(&mut text, &format!("{head}, {samples} pairs, {} bytes", thousands(self.bytes)));
+                line(&mut text, &format!("  material     {material}"));
+                let [light, view] = largest_theta;
+                line(&mut text, &format!("  from normal  light up to {light:.1}°, view up to {view:.1}°"));
+                let rgb = |f: &[f32; 3]| f.map(|f| format!("{f:.4}")).join(" ");
+                line(&mut text, &format!("  f            mean {}, largest {}", rgb(mean), rgb(largest)));
+                line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
+                line(&mut text, &format!("  horizon      {} samples, left out", thousands(*grazing as u64)));
             }
             Content::Library { form, network, bytes_per_material, shared_bytes, materials } => {
                 let count = materials.len();
@@ -167,6 +194,23 @@ fn table_content(table: &Table) -> Content {
         description: measured.description().to_owned(),
         isotropic: measured.is_isotropic(),
         clamped: measured.clamped(),
+    }
+}
+
+fn samples_content(material: String, samples: &Samples) -> Content {
+    let lowest = |directions: &[Vec3]| directions.iter().fold(1.0_f32, |z, d| z.min(d.z)).acos().to_degrees();
+    let mean = |channel: usize| {
+        let sum: f64 = samples.f.iter().map(|f| f64::from(f[channel])).sum();
+        (sum / samples.len() as f64) as f32
+    };
+    Content::Samples {
+        material,
+        samples: samples.len(),
+        clamped: samples.clamped,
+        grazing: samples.grazing,
+        largest_theta: [lowest(&samples.light), lowest(&samples.view)],
+        mean: std::array::from_fn(mean),
+        largest: samples.f.iter().fold(Vec3::ZERO, |a, &f| a.max(f)).to_array(),
     }
 }
 

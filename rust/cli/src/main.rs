@@ -18,9 +18,9 @@ use clap::{Parser, Subcommand};
 
 /// Compact and neural BRDFs, fitted to measured reflectance.
 ///
-/// FILE is a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) measurement, or
-/// the weights of a neural BRDF as Sztrajman et al. publish them (.h5, .npz, or *_fc1.npy for a set of .npy
-/// files). Directions are unit vectors in the local frame with the normal +z, and point away from the
+/// FILE is a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) measurement,
+/// scattered samples (.csv, or .npy of the shape (n, 9)), or the weights of a neural BRDF as Sztrajman et
+/// al. publish them (.h5, .npz, or *_fc1.npy for a set of .npy files). Directions are unit vectors in the local frame with the normal +z, and point away from the
 /// surface; f is in 1/sr, linear RGB, without the cosine.
 #[derive(Parser)]
 #[command(name = "glimt", version, propagate_version = true)]

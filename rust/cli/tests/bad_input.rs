@@ -23,7 +23,7 @@ fn files_that_are_not_there_or_not_known() {
     let line = folder.fails(1, &["info", "notes.txt"]);
     assert!(line.contains("notes.txt") && line.contains("expected a model library"), "{line}");
     let line = folder.fails(1, &["info", "pairs.npy"]);
-    assert!(line.contains("pairs.npy: found a NumPy array"), "{line}");
+    assert!(line.contains("pairs.npy is not an array (n, 9) of scattered samples"), "{line}");
     let line = folder.fails(1, &["info", "*.bsdf"]);
     assert!(line.contains("*.bsdf matches no file"), "{line}");
 }
@@ -167,4 +167,15 @@ fn output_that_nobody_reads_is_no_error() {
     let mut child = folder.command(&["info", "."]).stdout(std::process::Stdio::piped()).spawn().unwrap();
     drop(child.stdout.take());
     assert!(child.wait().unwrap().success());
+}
+
+#[test]
+fn scattered_samples_answer_no_other_directions() {
+    let folder = Folder::new();
+    std::fs::write(folder.path("scan.csv"), "0,0,1,0,0,1,0.5,0.5,0.5\n").unwrap();
+    let line = folder.fails(1, &eval("scan.csv", &[]));
+    assert!(line.contains("scan.csv holds scattered samples") && line.contains("glimt fit"), "{line}");
+    std::fs::write(folder.path("scan.csv"), "0,0,1,0,0,1,0.5\n").unwrap();
+    let line = folder.fails(1, &["info", "scan.csv"]);
+    assert!(line.contains("line 1: 7 columns, expected 9"), "{line}");
 }

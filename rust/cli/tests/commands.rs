@@ -217,3 +217,25 @@ fn interrupted(folder: &Folder) -> (u64, String) {
         }
     }
 }
+
+#[test]
+fn scattered_samples_are_described_and_fitted_to() {
+    let folder = Folder::new();
+    let material = ggx([0.5, 0.3, 0.1]);
+    let mut csv = "theta_l,phi_l,theta_v,phi_v,r,g,b\n".to_owned();
+    for i in 0..448 {
+        let [theta_l, theta_v] = [(i % 8) as f32 * 0.18, (i / 64) as f32 * 0.2];
+        let phi = ((i / 8) % 8) as f32 * 0.4;
+        let direction =
+            |theta: f32, phi: f32| Vec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos());
+        let f = material.eval(direction(theta_l, phi), direction(theta_v, 0.0));
+        csv += &format!("{theta_l},{phi},{theta_v},0,{},{},{}\n", f.x, f.y, f.z);
+    }
+    std::fs::write(folder.path("scan.csv"), csv).unwrap();
+    let info = folder.succeeds(&["info", "scan.csv"]);
+    assert!(info.contains("scan.csv: samples, 448 pairs") && info.contains("view up to 68.8°"), "{info}");
+    let json = folder.succeeds(&["fit", "--model", "ggx", "scan.csv", "-o", "scan.safetensors", "--json"]);
+    let smape = json.split("\"smape\":").nth(1).unwrap().split([',', '}']).next().unwrap();
+    assert!(smape.parse::<f64>().unwrap() < 0.01, "{json}");
+    assert!(!json.contains("swapped"), "{json}");
+}

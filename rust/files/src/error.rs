@@ -38,10 +38,20 @@ pub enum Error {
         /// What was found and what was expected.
         reason: String,
     },
+    /// Scattered samples, asked for what only a BRDF can answer.
+    #[error(
+        "{} holds scattered samples, which say nothing between them; fit a model to them with glimt fit",
+        path.display()
+    )]
+    OnlySamples {
+        /// The file.
+        path: PathBuf,
+    },
     /// Neither content nor file name fits a format that is known here.
     #[error(
         "{}: {found}; expected a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) \
-         measurement, or NBRDF weights (.h5, .npz, or .npy files named *_fc1.npy …)",
+         measurement, scattered samples (.csv, .npy), or NBRDF weights (.h5, .npz, or .npy files named \
+         *_fc1.npy …)",
         path.display()
     )]
     UnknownFormat {

@@ -1,5 +1,5 @@
-//! Every file that holds reflectance, opened by its content: model libraries, measured tables, and the
-//! network weights that Sztrajman et al. publish; and NumPy arrays.
+//! Every file that holds reflectance, opened by its content: model libraries, measured tables, scattered
+//! samples, and the network weights that Sztrajman et al. publish; and NumPy arrays.
 //!
 //! ```no_run
 //! use glimt_core::Vec3;
@@ -14,10 +14,12 @@ mod error;
 pub mod keras;
 pub mod nbrdf;
 pub mod npy;
+pub mod samples;
 mod source;
 mod table;
 
 pub use error::Error;
 pub use npy::Array;
+pub use samples::Samples;
 pub use source::{Source, sha256};
 pub use table::Table;

@@ -13,9 +13,10 @@ use crate::error::Error;
 use crate::keras;
 use crate::nbrdf;
 use crate::npy;
+use crate::samples::Samples;
 use crate::table::Table;
 
-/// What a file holds: models, or a measured table as it is.
+/// What a file holds: models, or a measurement as it is.
 #[derive(Clone, Debug)]
 pub enum Source {
     /// A model library, or NBRDF weights as a library of one material.
@@ -26,6 +27,13 @@ pub enum Source {
         path: PathBuf,
         /// The table.
         table: Box<Table>,
+    },
+    /// Scattered samples: f at some pairs of directions, and nothing between them.
+    Samples {
+        /// Where they were read from.
+        path: PathBuf,
+        /// The samples.
+        samples: Samples,
     },
 }
 
@@ -50,8 +58,11 @@ impl Source {
             return if path.file_name().and_then(|name| name.to_str()).is_some_and(is_first) {
                 open_nbrdf(path)
             } else {
-                Err(unknown(path, "a NumPy array"))
+                open_samples(path)
             };
+        }
+        if has_extension("csv") {
+            return open_samples(path);
         }
         match Measured::open(path) {
             Ok(measured) => {
@@ -67,11 +78,11 @@ impl Source {
     pub fn path(&self) -> &Path {
         match self {
             Source::Library(library) => library.path(),
-            Source::Table { path, .. } => path,
+            Source::Table { path, .. } | Source::Samples { path, .. } => path,
         }
     }
 
-    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `merl`, `rgl`, `utia`.
+    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `merl`, `rgl`, `utia`, `samples`.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
@@ -81,6 +92,7 @@ impl Source {
                 Measured::Rgl(_) => "rgl",
                 Measured::Utia(_) => "utia",
             },
+            Source::Samples { .. } => "samples",
         }
     }
 
@@ -90,13 +102,16 @@ impl Source {
         match self {
             Source::Library(library) => library.names(),
             Source::Table { table, .. } => vec![table.measured().name().to_owned()],
+            Source::Samples { path, .. } => {
+                vec![path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()]
+            }
         }
     }
 
     /// The material of that name; the only one if `name` is `None` and there is one.
     ///
     /// # Errors
-    /// The library's: an unknown name, with the nearest ones, or none where there are several.
+    /// The library's: an unknown name, with the nearest ones, or none where there are several. [`Error::OnlySamples`].
     pub fn brdf(&self, name: Option<&str>) -> Result<&dyn SampleBrdf, Error> {
         match self {
             Source::Library(library) => Ok(library.material(name)?),
@@ -109,6 +124,7 @@ impl Source {
                 }
                 _ => Ok(&**table),
             },
+            Source::Samples { path, .. } => Err(Error::OnlySamples { path: path.clone() }),
         }
     }
 }
@@ -121,6 +137,10 @@ fn start(path: &Path) -> Result<Vec<u8>, Error> {
         Ok(start)
     };
     read().map_err(Error::read(path))
+}
+
+fn open_samples(path: &Path) -> Result<Source, Error> {
+    Ok(Source::Samples { path: path.to_owned(), samples: Samples::open(path)? })
 }
 
 fn unknown(path: &Path, found: &str) -> Error {

@@ -13,11 +13,11 @@ use std::time::Instant;
 
 use glimt_core::dispatch;
 use glimt_core::ggx::Ggx;
+use glimt_core::library::Origin;
 use glimt_core::microfacet::Microfacet;
 use glimt_core::simd::{LANES, isa_name};
-use glimt_core::{Brdf, library::Origin};
 use glimt_fit::train::Schedule;
-use glimt_fit::{HybridOptions, Input, Model, Net, Options, fit};
+use glimt_fit::{HybridOptions, Input, Model, Net, Options, Truth, fit};
 
 const MATERIALS: usize = 12;
 const PAIRS: usize = 1024;
@@ -80,7 +80,7 @@ fn step_time(materials: &[Ggx], net: Net) -> f64 {
         .enumerate()
         .map(|(i, brdf)| Input {
             name: i.to_string(),
-            brdf: brdf as &dyn Brdf,
+            truth: Truth::Brdf(brdf),
             isotropic: true,
             origin: Origin::default(),
         })

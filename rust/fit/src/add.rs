@@ -1,20 +1,21 @@
 //! New materials for a finished library: the network stays, z, k_d, η and α are fitted (the paper,
 //! §4.2, "sparse training").
 
+use glimt_core::Material;
 use glimt_core::features::Inputs;
 use glimt_core::hybrid::Hybrid;
 use glimt_core::library::{Entry, Library, Origin};
 use glimt_core::network::Activation;
-use glimt_core::{Brdf, Material};
 
 use crate::backprop::Shape;
 use crate::error::Error;
-use crate::fit::{Input, Watch, best_of, check_materials, fit_analytic, hybrid_materials, total_loss};
+use crate::fit::{Input, Judge, Watch, best_of, check_materials, fit_analytic, hybrid_materials, total_loss};
 use crate::hybrid::{HybridObjective, Sharing};
 use crate::loss::Loss;
 use crate::options::{HybridOptions, Net};
-use crate::pairs::{self, Drawing, PairBlock};
+use crate::pairs::Drawing;
 use crate::train::Schedule;
+use crate::truth::Truth;
 
 /// Steps of [`add`] when the caller has no other wish.
 pub const ADD_STEPS: u64 = 1500;
@@ -27,7 +28,7 @@ const ADD_STARTS: usize = 4;
 ///
 /// # Errors
 /// [`Error::Options`] if the library is not a hybrid one with a shared network, or if a material is
-/// anisotropic and the library is not; [`Error::NotFinite`], [`Error::Diverged`].
+/// anisotropic and the library is not; [`Error::Material`], [`Error::Diverged`].
 pub fn add(
     library: &Library,
     inputs: &[Input],
@@ -75,19 +76,21 @@ pub fn add(
         joint: paper,
     };
     let schedule = Schedule { rate: 0.02, freeze_shared: true, ..Schedule::standard(steps, seed) };
-    let brdfs: Vec<&dyn Brdf> = inputs.iter().map(|input| input.brdf).collect();
+    let truths: Vec<Truth> = inputs.iter().map(|input| input.truth).collect();
     check_materials(inputs)?;
     let shared = Shape::from_layers(layers);
     let loss = objective.analytic_loss.unwrap_or(objective.loss);
-    let Some(p) = fit_analytic(&brdfs, loss, isotropic, &schedule, watch)? else { return Ok(None) };
-    let judge = pairs::draw(Drawing::Lobes, !seed, 0, 4);
-    let candidates =
-        p.iter().zip(&brdfs).map(|(p, brdf)| nearest_codes(&objective, &shared, p, library, *brdf, &judge));
-    let Some(own) = best_of(&objective, &shared, &brdfs, candidates.collect(), &schedule, watch)? else {
+    let Some(p) = fit_analytic(&truths, loss, isotropic, &schedule, watch)? else { return Ok(None) };
+    let judge = Judge::new(Drawing::Lobes, seed, 4);
+    let candidates = p
+        .iter()
+        .zip(&truths)
+        .map(|(p, &truth)| nearest_codes(&objective, &shared, p, library, truth, &judge));
+    let Some(own) = best_of(&objective, &shared, &truths, candidates.collect(), &schedule, watch)? else {
         return Ok(None);
     };
     let numbers = [shared, own.concat()].concat();
-    let materials = hybrid_materials(&objective, &numbers, &schedule);
+    let materials = hybrid_materials(&objective, &truths, &numbers, &schedule);
     let materials = materials.map_err(|_| Error::Diverged { step: steps })?;
     let entry = |(input, material): (&Input, Material)| {
         // The library's own network, not an equal one: the file then stores it once.
@@ -112,15 +115,15 @@ fn nearest_codes(
     shared: &[f32],
     p: &[f32],
     library: &Library,
-    brdf: &dyn Brdf,
-    judge: &[PairBlock],
+    truth: Truth,
+    judge: &Judge,
 ) -> Vec<Vec<f32>> {
     let mut starts: Vec<(f64, Vec<f32>)> = library
         .entries()
         .iter()
         .map(|entry| {
             let own = [p, entry.material.latent()].concat();
-            (total_loss(objective, shared, &own, brdf, judge), own)
+            (total_loss(objective, shared, &own, truth, judge), own)
         })
         .collect();
     starts.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -14,9 +14,14 @@ pub enum Error {
         /// The step.
         step: u64,
     },
-    /// A material has values that are not finite.
-    #[error("material \"{0}\" has values that are not finite, so nothing can be fitted to it")]
-    NotFinite(String),
+    /// Nothing can be fitted to a material.
+    #[error("nothing can be fitted to the material \"{name}\": {reason}")]
+    Material {
+        /// The material.
+        name: String,
+        /// What was found.
+        reason: String,
+    },
     /// The checkpoint cannot be read or written.
     #[error("checkpoint {}: {reason}", path.display())]
     Checkpoint {

@@ -1,15 +1,16 @@
 //! From materials to a model library.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+use glimt_core::Material;
 use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::{Composition, Hybrid};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::network::{Activation, Network};
 use glimt_core::neural::{Neural, Shared};
-use glimt_core::{Brdf, Material};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -22,15 +23,16 @@ use crate::loss::Loss;
 use crate::neural::NeuralObjective;
 use crate::objective::Objective;
 use crate::options::{Model, Options};
-use crate::pairs::{self, Drawing, PairBlock};
+use crate::pairs::{self, Drawing, PairBlock, TargetBlock};
 use crate::train::{End, MAX_BLOCKS, Progress, Schedule, State, train};
+use crate::truth::Truth;
 
 /// A material to fit to.
 pub struct Input<'a> {
     /// Its name in the library.
     pub name: String,
-    /// Its reflectance.
-    pub brdf: &'a dyn Brdf,
+    /// Its reflectance: a function, or scattered samples of one.
+    pub truth: Truth<'a>,
     /// Whether it is the same in every azimuth.
     pub isotropic: bool,
     /// Where it came from.
@@ -52,7 +54,7 @@ pub type Watch<'a> = dyn FnMut(&Progress, &State) -> ControlFlow<()> + 'a;
 ///
 /// # Errors
 /// [`Error::Options`] for options that make no sense or a checkpoint of another fit,
-/// [`Error::NotFinite`], [`Error::Diverged`].
+/// [`Error::Material`], [`Error::Diverged`].
 pub fn fit(
     inputs: &[Input],
     options: &Options,
@@ -60,7 +62,7 @@ pub fn fit(
     watch: &mut Watch,
 ) -> Result<Outcome, Error> {
     check(inputs, options)?;
-    let brdfs: Vec<&dyn Brdf> = inputs.iter().map(|input| input.brdf).collect();
+    let truths: Vec<Truth> = inputs.iter().map(|input| input.truth).collect();
     let isotropic = inputs.iter().all(|input| input.isotropic);
     let materials = identities(inputs);
     if let Some(checkpoint) = &resume {
@@ -90,7 +92,7 @@ pub fn fit(
     let schedule = &options.schedule;
     let made = match &options.model {
         Model::Ggx(loss) => {
-            let Some(p) = fit_analytic(&brdfs, *loss, isotropic, schedule, watch)? else {
+            let Some(p) = fit_analytic(&truths, *loss, isotropic, schedule, watch)? else {
                 return stopped(None);
             };
             p.iter().map(|p| Ggx::new(analytic::to_parameters(p)).map(Material::Ggx)).collect()
@@ -102,16 +104,16 @@ pub fn fit(
                 Some(state) => state,
                 None => {
                     let loss = hybrid.analytic_loss.unwrap_or(hybrid.loss);
-                    let Some(p) = fit_analytic(&brdfs, loss, isotropic, schedule, watch)? else {
+                    let Some(p) = fit_analytic(&truths, loss, isotropic, schedule, watch)? else {
                         return stopped(None);
                     };
                     State::new(start(&objective, &p, schedule.seed))
                 }
             };
-            if !run(&objective, &brdfs, schedule, &mut state, watch)? {
+            if !run(&objective, &truths, schedule, &mut state, watch)? {
                 return stopped(Some(state));
             }
-            hybrid_materials(&objective, &state.numbers, schedule)
+            hybrid_materials(&objective, &truths, &state.numbers, schedule)
         }
         Model::Neural(neural) => {
             let objective =
@@ -119,10 +121,10 @@ pub fn fit(
             fits(objective.shared_len() + inputs.len() * objective.own_len())?;
             let initial = || State::new(objective.initial(schedule.seed, inputs.len()));
             let mut state = resumed.unwrap_or_else(initial);
-            if !run(&objective, &brdfs, schedule, &mut state, watch)? {
+            if !run(&objective, &truths, schedule, &mut state, watch)? {
                 return stopped(Some(state));
             }
-            neural_materials(&objective, &state.numbers, schedule)
+            neural_materials(&objective, &truths, &state.numbers, schedule)
         }
     };
     let materials: Vec<Material> = made.map_err(|_| Error::Diverged { step: schedule.steps })?;
@@ -181,25 +183,20 @@ pub(crate) fn check_materials(inputs: &[Input]) -> Result<(), Error> {
     if inputs.is_empty() {
         return Err(Error::Options("there is no material to fit to".into()));
     }
-    let probe = pairs::draw(Drawing::Lobes, 0, 0, 4);
-    for input in inputs {
-        let targets = pairs::evaluate(input.brdf, &probe);
-        if !targets.as_flattened().as_flattened().as_flattened().iter().all(|f| f.is_finite()) {
-            return Err(Error::NotFinite(input.name.clone()));
-        }
-    }
-    Ok(())
+    inputs.iter().try_for_each(|input| {
+        input.truth.check().map_err(|reason| Error::Material { name: input.name.clone(), reason })
+    })
 }
 
 /// [`train`], and whether it came to its end.
 fn run<O: Objective>(
     objective: &O,
-    brdfs: &[&dyn Brdf],
+    truths: &[Truth],
     schedule: &Schedule,
     state: &mut State,
     watch: &mut Watch,
 ) -> Result<bool, Error> {
-    match train(objective, brdfs, schedule, state, watch) {
+    match train(objective, truths, schedule, state, watch) {
         End::Finished => Ok(true),
         End::Stopped => Ok(false),
         End::Diverged => Err(Error::Diverged { step: state.step }),
@@ -211,7 +208,7 @@ const START_ALPHAS: [f32; 3] = [0.05, 0.2, 0.5];
 
 /// The unbounded numbers of the best analytic fit of every material; `None` if it was stopped.
 pub(crate) fn fit_analytic(
-    brdfs: &[&dyn Brdf],
+    truths: &[Truth],
     loss: Loss,
     isotropic: bool,
     schedule: &Schedule,
@@ -222,32 +219,32 @@ pub(crate) fn fit_analytic(
         let p = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [alpha; 2] };
         analytic::from_parameters(&p, isotropic)
     });
-    let candidates = vec![starts.to_vec(); brdfs.len()];
+    let candidates = vec![starts.to_vec(); truths.len()];
     let schedule = Schedule::analytic(schedule.drawing, schedule.seed);
-    best_of(&objective, &[], brdfs, candidates, &schedule, watch)
+    best_of(&objective, &[], truths, candidates, &schedule, watch)
 }
 
 /// Trains every material's own numbers from each of its candidates at once, and keeps the best.
 pub(crate) fn best_of<O: Objective>(
     objective: &O,
     shared: &[f32],
-    brdfs: &[&dyn Brdf],
+    truths: &[Truth],
     candidates: Vec<Vec<Vec<f32>>>,
     schedule: &Schedule,
     watch: &mut Watch,
 ) -> Result<Option<Vec<Vec<f32>>>, Error> {
     let owners: Vec<usize> =
         candidates.iter().enumerate().flat_map(|(i, starts)| starts.iter().map(move |_| i)).collect();
-    let repeated: Vec<&dyn Brdf> = owners.iter().map(|&i| brdfs[i]).collect();
+    let repeated: Vec<Truth> = owners.iter().map(|&i| truths[i]).collect();
     let numbers = shared.iter().copied().chain(candidates.into_iter().flatten().flatten()).collect();
     let mut state = State::new(numbers);
     if !run(objective, &repeated, schedule, &mut state, watch)? {
         return Ok(None);
     }
-    let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
-    let mut best = vec![(f64::INFINITY, Vec::new()); brdfs.len()];
+    let judge = Judge::new(schedule.drawing, schedule.seed, JUDGE_BLOCKS);
+    let mut best = vec![(f64::INFINITY, Vec::new()); truths.len()];
     for (&owner, own) in owners.iter().zip(state.numbers[shared.len()..].chunks_exact(objective.own_len())) {
-        let loss = total_loss(objective, shared, own, brdfs[owner], &judge);
+        let loss = total_loss(objective, shared, own, truths[owner], &judge);
         if loss < best[owner].0 {
             best[owner] = (loss, own.to_vec());
         }
@@ -261,18 +258,35 @@ pub(crate) fn best_of<O: Objective>(
 /// Blocks of fresh pairs on which candidates are compared and bounds are taken.
 const JUDGE_BLOCKS: usize = 64;
 
+/// Fresh pairs, or all samples in a random order.
+pub(crate) struct Judge {
+    seed: u64,
+    drawn: Vec<PairBlock>,
+}
+
+impl Judge {
+    pub fn new(drawing: Drawing, seed: u64, blocks: usize) -> Judge {
+        Judge { seed: !seed, drawn: pairs::draw(drawing, !seed, 0, blocks) }
+    }
+
+    fn look(&self, truth: Truth) -> (Cow<'_, [PairBlock]>, Vec<TargetBlock>) {
+        truth.look(&self.drawn, self.seed, 0)
+    }
+}
+
 pub(crate) fn total_loss<O: Objective>(
     objective: &O,
     shared: &[f32],
     own: &[f32],
-    brdf: &dyn Brdf,
-    judge: &[PairBlock],
+    truth: Truth,
+    judge: &Judge,
 ) -> f64 {
     let mut workspace = objective.workspace();
     let (mut unused_shared, mut unused_own) = (vec![0.0; shared.len()], vec![0.0; own.len()]);
-    pairs::evaluate(brdf, judge)
+    let (pairs, targets) = judge.look(truth);
+    targets
         .iter()
-        .zip(judge)
+        .zip(pairs.iter())
         .map(|(target, pairs)| {
             objective.block(&mut workspace, shared, own, pairs, target, &mut unused_shared, &mut unused_own)
         })
@@ -327,6 +341,7 @@ const BOUND_MARGIN: f32 = 0.1;
 
 pub(crate) fn hybrid_materials(
     objective: &HybridObjective,
+    truths: &[Truth],
     numbers: &[f32],
     schedule: &Schedule,
 ) -> Result<Vec<Material>, String> {
@@ -339,12 +354,13 @@ pub(crate) fn hybrid_materials(
         Sharing::Library => Some(network(shared)?),
         Sharing::Material => None,
     };
-    let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
+    let judge = Judge::new(schedule.drawing, schedule.seed, JUDGE_BLOCKS);
     own.chunks_exact(objective.own_len())
-        .map(|own| {
+        .zip(truths)
+        .map(|(own, &truth)| {
             let parts = objective.split(shared, own);
             let network = library.clone().map_or_else(|| network(parts.network), Ok)?;
-            let bound = objective.largest_residual(shared, own, &judge) + BOUND_MARGIN;
+            let bound = objective.largest_residual(shared, own, &judge.look(truth).0) + BOUND_MARGIN;
             let p = analytic::to_parameters(parts.p);
             Hybrid::new(objective.form, network, p, parts.z.to_vec(), bound).map(Material::Hybrid)
         })
@@ -353,15 +369,17 @@ pub(crate) fn hybrid_materials(
 
 fn neural_materials(
     objective: &NeuralObjective,
+    truths: &[Truth],
     numbers: &[f32],
     schedule: &Schedule,
 ) -> Result<Vec<Material>, String> {
     let (shared, own) = numbers.split_at(objective.shared_len());
-    let judge = pairs::draw(schedule.drawing, !schedule.seed, 0, JUDGE_BLOCKS);
+    let judge = Judge::new(schedule.drawing, schedule.seed, JUDGE_BLOCKS);
     let made: Arc<Shared> = Arc::new(objective.to_shared(shared)?);
     own.chunks_exact(objective.own_len())
-        .map(|z| {
-            let bound = objective.largest_output(shared, z, &judge) + BOUND_MARGIN;
+        .zip(truths)
+        .map(|(z, &truth)| {
+            let bound = objective.largest_output(shared, z, &judge.look(truth).0) + BOUND_MARGIN;
             Neural::new(made.clone(), z.to_vec(), bound).map(Material::Neural)
         })
         .collect()

@@ -2,8 +2,8 @@
 //!
 //! [`fit()`] makes a library of materials, [`add()`] adds some to one. Below them, in reading order:
 //! [`options`], [`train`] (the loop), [`objective`] with [`ggx`], [`hybrid`] and [`neural`] (the models
-//! as functions of numbers, with hand-written gradients), [`backprop`], [`analytic`], [`pairs`],
-//! [`loss`], [`adamw`].
+//! as functions of numbers, with hand-written gradients), [`backprop`], [`analytic`], [`truth`],
+//! [`pairs`], [`loss`], [`adamw`].
 
 pub mod adamw;
 pub mod add;
@@ -20,8 +20,10 @@ pub mod objective;
 pub mod options;
 pub mod pairs;
 pub mod train;
+pub mod truth;
 
 pub use add::add;
 pub use error::Error;
 pub use fit::{Input, Outcome, Watch, fit};
 pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options};
+pub use truth::Truth;

@@ -362,6 +362,7 @@ mod tests {
     use crate::backprop::BLOCK;
     use crate::pairs::{self, Drawing};
     use crate::train::{Schedule, State, train};
+    use crate::truth::Truth;
     use glam::{DMat3, DVec3};
     use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
@@ -544,7 +545,7 @@ mod tests {
         const LATENT: usize = 4;
         let objective = objective(&[16, 16], LATENT);
         let materials = materials();
-        let brdfs = materials.each_ref().map(|m| m as &dyn Brdf);
+        let truths = materials.each_ref().map(|m| Truth::Brdf(m));
         let schedule = Schedule {
             steps: 300,
             blocks: 2,
@@ -557,7 +558,7 @@ mod tests {
         };
         let mut state = State::new(objective.initial(1, 2));
         let mut losses = Vec::new();
-        train(&objective, &brdfs, &schedule, &mut state, &mut |progress, _| {
+        train(&objective, &truths, &schedule, &mut state, &mut |progress, _| {
             losses.push(progress.loss);
             ControlFlow::Continue(())
         });

@@ -64,7 +64,7 @@ const TIP_WEIGHT: f32 = 0.005;
 /// (Roberts 2018), shifted at random, so that every block covers the hemispheres evenly.
 #[must_use]
 pub fn draw(drawing: Drawing, seed: u64, epoch: u64, count: usize) -> Vec<PairBlock> {
-    let mut rng = Pcg64::seed_from_u64(seed ^ epoch.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let mut rng = Pcg64::seed_from_u64(mix(seed, epoch));
     let shift: [f64; 5] = std::array::from_fn(|_| rng.random());
     // Rounding to float32 may reach 1, which is no longer in [0, 1).
     const BELOW_ONE: f32 = 1.0 - f32::EPSILON / 2.0;
@@ -92,6 +92,11 @@ pub fn draw(drawing: Drawing, seed: u64, epoch: u64, count: usize) -> Vec<PairBl
             pairs
         })
         .collect()
+}
+
+/// Another seed for every number.
+pub(crate) fn mix(seed: u64, number: u64) -> u64 {
+    seed ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15)
 }
 
 /// A pair and its weight from five numbers in [0, 1).

@@ -1,9 +1,9 @@
 //! The training loop: the same for every objective.
 
+use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use glimt_core::Brdf;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +11,7 @@ use crate::adamw::{AdamW, Moments, clip_norm, cosine_decay};
 use crate::backprop::BLOCK;
 use crate::objective::Objective;
 use crate::pairs::{self, Drawing, PairBlock, TargetBlock};
+use crate::truth::Truth;
 
 /// How long and how fast.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,13 +97,13 @@ pub enum End {
 /// If the schedule has no blocks in a step, or more than [`MAX_BLOCKS`].
 pub fn train<O: Objective>(
     objective: &O,
-    materials: &[&dyn Brdf],
+    materials: &[Truth],
     schedule: &Schedule,
     state: &mut State,
     report: &mut dyn FnMut(&Progress, &State) -> ControlFlow<()>,
 ) -> End {
     let epoch_steps = (POOL_BLOCKS * POOL_PASSES / schedule.blocks) as u64;
-    let mut pool = Pool { epoch: u64::MAX, pairs: Vec::new(), targets: Vec::new() };
+    let mut pool = Pool { epoch: u64::MAX, drawn: Vec::new(), samples: Vec::new(), targets: Vec::new() };
     let (start, first) = (Instant::now(), state.step);
     let mut loss = 0.0;
     while state.step < schedule.steps {
@@ -144,16 +145,31 @@ pub fn train<O: Objective>(
 /// Pairs of one epoch and every material's values there.
 struct Pool {
     epoch: u64,
-    pairs: Vec<PairBlock>,
+    /// Pairs for all materials that are known everywhere.
+    drawn: Vec<PairBlock>,
+    /// A material's own pairs, where it is known at these alone.
+    samples: Vec<Option<Vec<PairBlock>>>,
     /// [material][block].
     targets: Vec<Vec<TargetBlock>>,
 }
 
 impl Pool {
-    fn new(materials: &[&dyn Brdf], schedule: &Schedule, epoch: u64) -> Self {
-        let pairs = pairs::draw(schedule.drawing, schedule.seed, epoch, POOL_BLOCKS);
-        let targets = materials.iter().map(|&material| pairs::evaluate(material, &pairs)).collect();
-        Pool { epoch, pairs, targets }
+    fn new(materials: &[Truth], schedule: &Schedule, epoch: u64) -> Self {
+        let drawn = pairs::draw(schedule.drawing, schedule.seed, epoch, POOL_BLOCKS);
+        let looks = materials.iter().map(|material| {
+            let (pairs, targets) = material.look(&drawn, schedule.seed, epoch);
+            let own = match pairs {
+                Cow::Borrowed(_) => None,
+                Cow::Owned(pairs) => Some(pairs),
+            };
+            (own, targets)
+        });
+        let (samples, targets) = looks.unzip();
+        Pool { epoch, drawn, samples, targets }
+    }
+
+    fn pairs(&self, material: usize, block: usize) -> &PairBlock {
+        &self.samples[material].as_ref().unwrap_or(&self.drawn)[block]
     }
 
     /// The blocks of a step: every pass goes through the pool in another order.
@@ -190,7 +206,7 @@ fn gradient<O: Objective>(objective: &O, numbers: &[f32], pool: &Pool, blocks: &
                     workspace,
                     shared,
                     &own[material * own_len..][..own_len],
-                    &pool.pairs[block],
+                    pool.pairs(material, block),
                     &pool.targets[material][block],
                     &mut shared_gradient,
                     &mut own_gradient,

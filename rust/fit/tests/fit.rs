@@ -11,7 +11,9 @@ use glimt_core::{Brdf, Material, is_lit};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
 use glimt_fit::train::Schedule;
-use glimt_fit::{HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, add, fit};
+use glimt_fit::{
+    HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth, add, fit,
+};
 
 /// A base, a lobe and a grazing sheen that no GGX lobe has.
 struct Velvet {
@@ -49,7 +51,7 @@ const TARGETS: [Velvet; 3] =
 
 fn input<'a>(name: &str, brdf: &'a dyn Brdf, isotropic: bool) -> Input<'a> {
     let origin = Origin { source: name.to_owned(), sha256: format!("hash of {name}"), ..Origin::default() };
-    Input { name: name.to_owned(), brdf, isotropic, origin }
+    Input { name: name.to_owned(), truth: Truth::Brdf(brdf), isotropic, origin }
 }
 
 fn velvets() -> Vec<Input<'static>> {
@@ -247,4 +249,58 @@ fn what_cannot_be_fitted_is_refused() {
     assert!(refused(&velvets(), odd).contains("20x2"));
     assert!(refused(&velvets(), HybridOptions { latent: 0, ..good }).contains("latent code of 0"));
     assert!(matches!(finish(&velvets()[..1], &hybrid(good, 10))[0].material, Material::Hybrid(_)));
+}
+
+/// 448 samples, as a goniometer that goes round once for each of seven views gives them.
+fn goniometer(brdf: &dyn Brdf) -> [Vec<Vec3>; 3] {
+    let direction = |theta: f32, phi: f32| {
+        let (theta, phi) = (theta.to_radians(), phi.to_radians());
+        Vec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos())
+    };
+    let views = (0..7).map(|i| direction(10.0 * i as f32, 180.0));
+    let lights = (0..64).map(|i| direction(5.0 + 10.0 * (i / 8) as f32, 22.5 * (i % 8) as f32));
+    let (light, view): (Vec<Vec3>, Vec<Vec3>) =
+        views.flat_map(|view| lights.clone().map(move |light| (light, view))).unzip();
+    let f = light.iter().zip(&view).map(|(&light, &view)| brdf.eval(light, view)).collect();
+    [light, view, f]
+}
+
+#[test]
+fn every_model_is_fitted_to_448_scattered_samples() {
+    let [light, view, f] = goniometer(&TARGETS[1]);
+    let neural = NeuralOptions { net: NET, latent: 4, loss: DEFAULT_LOSS };
+    for (model, tolerance) in [
+        (Model::Ggx(DEFAULT_ANALYTIC_LOSS), 0.05),
+        (Model::Hybrid(HybridOptions::per_material(NET)), 0.02),
+        (Model::Neural(neural), 0.02),
+    ] {
+        let truth = Truth::Samples { light: &light, view: &view, f: &f };
+        let input = Input { truth, ..input("goniometer", &TARGETS[1], true) };
+        let options = Options { model, schedule: Schedule::standard(600, 1) };
+        let material = &finish(&[input], &options)[0].material;
+        let error = light.iter().zip(&view).zip(&f).map(|((&light, &view), &f)| {
+            let log = |f: Vec3| (Vec3::ONE + light.z * f).map(f32::ln);
+            (log(f) - log(material.eval(light, view))).abs().element_sum() / 3.0
+        });
+        let error = error.sum::<f32>() / f.len() as f32;
+        assert!(error < tolerance, "{}: {error}", material.kind());
+        // Between the samples it is no more than a fit of the function itself could be off.
+        assert!(
+            log_mae(&TARGETS[1], material) < 0.1,
+            "{}: {}",
+            material.kind(),
+            log_mae(&TARGETS[1], material)
+        );
+    }
+}
+
+#[test]
+fn samples_below_the_horizon_are_refused_by_name() {
+    let (light, view, f) = ([Vec3::Z], [-Vec3::Z], [Vec3::ONE]);
+    let truth = Truth::Samples { light: &light, view: &view, f: &f };
+    let input = Input { truth, ..input("upside down", &TARGETS[1], true) };
+    let options = Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(1, 1) };
+    let message =
+        fit(&[input], &options, None, &mut |_, _| ControlFlow::Continue(())).err().unwrap().to_string();
+    assert!(message.contains("\"upside down\": sample 0 is below the horizon"), "{message}");
 }

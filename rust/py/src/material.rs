@@ -58,6 +58,7 @@ impl Material {
                 let name = table.measured().name().to_owned();
                 Ok(Material { name, kind, content: Content::Table(Arc::clone(source)) })
             }
+            Source::Samples { path, .. } => Err(glimt_files::Error::OnlySamples { path: path.clone() }),
         }
     }
 
@@ -73,7 +74,7 @@ impl Material {
             Content::Model(material) => &**material,
             Content::Table(source) => match &**source {
                 Source::Table { table, .. } => &**table,
-                Source::Library(_) => unreachable!("made of a table"),
+                Source::Library(_) | Source::Samples { .. } => unreachable!("made of a table"),
             },
         }
     }

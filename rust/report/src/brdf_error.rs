@@ -85,7 +85,22 @@ impl BrdfError {
                 sum_errors(light, &values[0], &values[1])
             })
             .collect();
-        let count = (protocol.light.len() * 3) as f64;
+        BrdfError::of_sums(&sums, protocol.light.len())
+    }
+
+    /// Of `model` against scattered samples: means over these, each counting the same.
+    ///
+    /// # Panics
+    /// If the three slices differ in length.
+    #[must_use]
+    pub fn at_samples(light: &[Vec3], view: &[Vec3], f: &[Vec3], model: &dyn Brdf) -> Self {
+        let mut values = vec![Vec3::ZERO; light.len()];
+        model.eval_batch(light, view, &mut values);
+        BrdfError::of_sums(&[sum_errors(light, f, &values)], light.len())
+    }
+
+    fn of_sums(sums: &[[f64; 5]], pairs: usize) -> Self {
+        let count = (pairs * 3) as f64;
         let mean = |i: usize| sums.iter().map(|s| s[i]).sum::<f64>() / count;
         BrdfError { smape: mean(0), log_mae: mean(1), log_mse: mean(2), mae: mean(3), rmse: mean(4).sqrt() }
     }
@@ -160,6 +175,14 @@ mod tests {
         // E[ln((1+3c)/(1+c))] with density 2c: ∫ 2c (ln(1+3c) − ln(1+c)) dc.
         assert!((error.log_mae - 0.565_595).abs() < 3e-3, "{}", error.log_mae);
         assert!(error.log_mse > error.log_mae * error.log_mae);
+    }
+
+    #[test]
+    fn samples_count_alike_wherever_they_are() {
+        let light = [Vec3::Z, Vec3::new(0.6, 0.0, 0.8)];
+        let f = [Vec3::splat(1.0), Vec3::splat(3.0)];
+        let error = BrdfError::at_samples(&light, &light, &f, &Constant(3.0));
+        assert!((error.smape - 0.5).abs() < 1e-6 && (error.mae - 1.0).abs() < 1e-6, "{error:?}");
     }
 
     #[test]
