@@ -73,6 +73,10 @@ typedef enum glimt_kind {
    * A network of one material, as Sztrajman et al. 2021.
    */
   GLIMT_KIND_NBRDF = 3,
+  /**
+   * Tables over single angles, as Bagher et al. 2016.
+   */
+  GLIMT_KIND_FACTOR = 4,
 } glimt_kind;
 
 /**
@@ -188,8 +192,8 @@ size_t glimt_library_size(const struct glimt_library *library);
 const char *glimt_library_name(const struct glimt_library *library, size_t index);
 
 /**
- * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural" or
- * "nbrdf"; valid until the library is closed. NULL for NULL.
+ * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
+ * "nbrdf" or "factor"; valid until the library is closed. NULL for NULL.
  */
 const char *glimt_library_kind(const struct glimt_library *library);
 

@@ -178,7 +178,7 @@ fn library_content(library: &Library) -> Content {
     Content::Library {
         form: match first {
             Material::Hybrid(hybrid) => Some(hybrid.form()),
-            Material::Ggx(_) | Material::Neural(_) | Material::Nbrdf(_) => None,
+            Material::Ggx(_) | Material::Neural(_) | Material::Nbrdf(_) | Material::Factor(_) => None,
         },
         network: first.network().map(NetworkInfo::new),
         bytes_per_material,

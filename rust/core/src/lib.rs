@@ -2,6 +2,7 @@
 
 pub mod brdf;
 pub mod error;
+pub mod factor;
 pub mod features;
 pub mod ggx;
 pub mod hybrid;
@@ -15,6 +16,7 @@ pub mod nbrdf;
 pub mod network;
 pub mod neural;
 pub mod simd;
+pub mod smith;
 
 pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
 pub use error::Error;

@@ -5,6 +5,7 @@
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, SampleBrdf};
+use crate::factor::Factor;
 use crate::ggx::Ggx;
 use crate::hybrid::Hybrid;
 use crate::lobes::Lobes;
@@ -26,6 +27,8 @@ pub enum Material {
     Neural(Neural),
     /// See [`crate::nbrdf`].
     Nbrdf(Nbrdf),
+    /// See [`crate::factor`].
+    Factor(Factor),
 }
 
 /// `$body` with `$model` bound to the [`Model`] that `$material` holds.
@@ -36,6 +39,7 @@ macro_rules! with_model {
             Material::Hybrid($model) => $body,
             Material::Neural($model) => $body,
             Material::Nbrdf($model) => $body,
+            Material::Factor($model) => $body,
         }
     };
 }
@@ -59,7 +63,7 @@ macro_rules! variants {
         }
     )+};
 }
-variants!(Ggx, Hybrid, Neural, Nbrdf);
+variants!(Ggx, Hybrid, Neural, Nbrdf, Factor);
 
 impl Material {
     /// See [`Model::KIND`].

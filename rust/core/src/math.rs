@@ -4,6 +4,8 @@
 //! bits, because neither fuses multiply and add. The error budgets are constants that the tests
 //! enforce over the whole range on which the functions are used.
 
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
+
 /// Largest relative error of [`exp`] on [`EXP_MIN`], [`EXP_MAX`].
 pub const EXP_MAX_RELATIVE_ERROR: f64 = 1.3e-7;
 /// Below this [`exp`] stays at its value here, 1.2e-38: the smallest normal number.
@@ -12,6 +14,9 @@ pub const EXP_MIN: f32 = -87.3;
 pub const EXP_MAX: f32 = 88.7;
 /// Largest error of [`ln`] on positive normal numbers: absolute where |ln x| < 1, else relative.
 pub const LN_MAX_ERROR: f64 = 1.3e-7;
+
+/// Largest relative error of [`angle`].
+pub const ANGLE_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
 
 /// eˣ, with x limited to [[`EXP_MIN`], [`EXP_MAX`]]; NaN gives NaN.
 ///
@@ -82,6 +87,26 @@ pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + exp(-x))
 }
 
+/// Angle in [0, π/2] of the point (`along`, `across`), neither of which is negative; 0 at the origin.
+///
+/// The polynomial of Cephes' `atanf` (Moshier 1992) on [−tan π/8, tan π/8], about 0 or π/4.
+#[inline(always)]
+#[must_use]
+pub fn angle(across: f32, along: f32) -> f32 {
+    const TAN_PI_8: f32 = 0.414_213_56;
+    let (low, high) = if across > along { (along, across) } else { (across, along) };
+    let high = high.max(f32::MIN_POSITIVE);
+    let far = low > TAN_PI_8 * high;
+    let t = if far { low - high } else { low } / if far { low + high } else { high };
+    let square = t * t;
+    let mut p = 8.053_744_5e-2;
+    p = p * square - 1.387_768_6e-1;
+    p = p * square + 1.997_771_1e-1;
+    p = p * square - 3.333_295e-1;
+    let angle = (p * square * t + t) + if far { FRAC_PI_4 } else { 0.0 };
+    if across > along { FRAC_PI_2 - angle } else { angle }
+}
+
 /// x limited to [low, high]; NaN stays NaN, as the comparisons are written to compile to one
 /// minimum and one maximum instruction each.
 #[inline(always)]
@@ -129,6 +154,22 @@ mod tests {
             })
             .fold(0.0, f64::max);
         assert!(worst <= LN_MAX_ERROR, "worst error {worst:e}");
+    }
+
+    #[test]
+    fn angle_keeps_its_error_budget() {
+        let worst = sweep(0.0, 1.0, 1_000_000)
+            .flat_map(|t| [(t, 1.0), (1.0, t)])
+            .filter(|&(across, _)| across > 0.0)
+            .map(|(across, along)| {
+                let truth = f64::from(across).atan2(along.into());
+                (f64::from(angle(across, along)) / truth - 1.0).abs()
+            })
+            .fold(0.0, f64::max);
+        assert!(worst <= ANGLE_MAX_RELATIVE_ERROR, "worst relative error {worst:e}");
+        assert_eq!(angle(0.0, 0.0), 0.0);
+        assert_eq!(angle(0.0, 1.0), 0.0);
+        assert_eq!(angle(1.0, 0.0), FRAC_PI_2);
     }
 
     #[test]

@@ -15,6 +15,7 @@ mod ffi {
         Hybrid,
         Neural,
         Nbrdf,
+        Factor,
     }
 
     /// What a network sees of two directions, see `features.rs` of the core.
@@ -197,6 +198,7 @@ impl Material {
             glimt_core::Material::Nbrdf(m) => {
                 ffi::Model { kind: ffi::Kind::Nbrdf, network: m.network().as_ref().into(), ..model }
             }
+            glimt_core::Material::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
         }
     }
 

@@ -47,6 +47,8 @@ pub enum glimt_kind {
     GLIMT_KIND_NEURAL = 2,
     /// A network of one material, as Sztrajman et al. 2021.
     GLIMT_KIND_NBRDF = 3,
+    /// Tables over single angles, as Bagher et al. 2016.
+    GLIMT_KIND_FACTOR = 4,
 }
 use glimt_kind::*;
 
@@ -248,8 +250,8 @@ pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index
     library.and_then(|library| library.names.get(index)).map_or(ptr::null(), |name| name.as_ptr())
 }
 
-/// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural" or
-/// "nbrdf"; valid until the library is closed. NULL for NULL.
+/// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
+/// "nbrdf" or "factor"; valid until the library is closed. NULL for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
     // SAFETY: the caller's promise.
@@ -344,6 +346,7 @@ fn kind(material: &Material) -> glimt_kind {
         Material::Hybrid(_) => GLIMT_KIND_HYBRID,
         Material::Neural(_) => GLIMT_KIND_NEURAL,
         Material::Nbrdf(_) => GLIMT_KIND_NBRDF,
+        Material::Factor(_) => GLIMT_KIND_FACTOR,
     }
 }
 

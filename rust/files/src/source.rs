@@ -82,7 +82,8 @@ impl Source {
         }
     }
 
-    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `merl`, `rgl`, `utia`, `samples`.
+    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `factor`, `merl`, `rgl`, `utia`,
+    /// `samples`.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {

@@ -11,6 +11,11 @@
 //! | `bound` | (materials) | hybrid, neural |
 //! | `network.i.weight`, `network.i.bias` | (out, in), (out); with a leading axis of materials where each has a network of its own | hybrid, neural, nbrdf |
 //! | `frames.weight`, `frames.bias` | (18, l), (18) | neural |
+//! | `diffuse`, `specular` | (materials, 3) | factor, but for bivariate |
+//! | `ndf`, `fresnel` | (materials, 3, 90) | factor, but for bivariate |
+//! | `masking` | (materials, 3, 90) | factor, independent-g |
+//! | `azimuth` | (materials, 3, 180) | factor, naive |
+//! | `bivariate` | (materials, 90, 90, 3) | factor, bivariate |
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -20,6 +25,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::Error;
+use crate::factor::Factor;
 use crate::ggx::Ggx;
 use crate::hybrid::Hybrid;
 use crate::material::{Material, with_model};
@@ -33,6 +39,7 @@ use container::{Tensor, Tensors};
 
 mod codec;
 mod container;
+mod factor;
 mod names;
 mod write;
 
@@ -230,7 +237,8 @@ impl Library {
     #[must_use]
     pub fn shares_network(&self) -> bool {
         let address = |entry: &Entry| entry.material.network().map(std::ptr::from_ref);
-        self.kind() != "nbrdf" && self.entries.iter().all(|entry| address(entry) == address(&self.entries[0]))
+        let first = address(&self.entries[0]);
+        self.kind() != "nbrdf" && first.is_some() && self.entries.iter().all(|entry| address(entry) == first)
     }
 
     /// The file's bytes.
@@ -338,7 +346,8 @@ fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, St
         Hybrid::KIND => decode::<Hybrid>(header, file),
         Neural::KIND => decode::<Neural>(header, file),
         Nbrdf::KIND => decode::<Nbrdf>(header, file),
-        other => Err(format!("its model is \"{other}\", expected ggx, hybrid, neural or nbrdf")),
+        Factor::KIND => decode::<Factor>(header, file),
+        other => Err(format!("its model is \"{other}\", expected ggx, hybrid, neural, nbrdf or factor")),
     }
 }
 
@@ -346,6 +355,7 @@ fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, St
 mod tests {
     use super::*;
     use crate::brdf::Brdf;
+    use crate::factor::{Factors, Interpolation, tests::patterned_factors};
     use crate::features::Inputs;
     use crate::hybrid::Form;
     use crate::microfacet::Microfacet;
@@ -354,7 +364,7 @@ mod tests {
     use crate::neural::{self, Shared};
     use glam::Vec3;
     use proptest::prelude::*;
-    use std::sync::Arc;
+    use std::sync::{Arc, LazyLock};
 
     const PARAMETERS: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
 
@@ -380,7 +390,13 @@ mod tests {
         });
         let nbrdf = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, Activation::Relu));
         let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
-        vec![
+        let factor = |factors: Factors| {
+            let material = |name: &str, interpolation| {
+                entry(name, Material::Factor(Factor::new(factors.clone(), interpolation).unwrap()))
+            };
+            vec![material("a", Interpolation::Nearest), material("b", Interpolation::Nearest)]
+        };
+        let mut libraries = vec![
             vec![entry("a", ggx([0.1; 2])), entry("b", ggx([0.1, 0.3]))],
             vec![entry("a", hybrid(&shared, [0.2; 2], 0.1)), entry("b", hybrid(&shared, [0.3; 2], -0.4))],
             vec![entry("a", hybrid(&own[0], [0.2, 0.4], 0.1)), entry("b", hybrid(&own[1], [0.3; 2], 0.2))],
@@ -392,7 +408,9 @@ mod tests {
                 entry("a", Material::Nbrdf(Nbrdf::new(nbrdf(1)).unwrap())),
                 entry("b", Material::Nbrdf(Nbrdf::new(nbrdf(2)).unwrap())),
             ],
-        ]
+        ];
+        libraries.extend(patterned_factors().map(factor));
+        libraries
     }
 
     #[test]
@@ -499,8 +517,11 @@ mod tests {
     proptest! {
         #[test]
         fn mutated_files_never_panic(at in 0..4000usize, byte in any::<u8>(), cut in 0..4000usize) {
-            for entries in libraries() {
-                let mut bytes = Library::new("", entries).unwrap().encode();
+            static ENCODED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
+                libraries().into_iter().map(|entries| Library::new("", entries).unwrap().encode()).collect()
+            });
+            for bytes in &*ENCODED {
+                let mut bytes = bytes.clone();
                 let at = at % bytes.len();
                 bytes[at] = byte;
                 let _ = decode(&bytes);
