@@ -3,6 +3,7 @@
 //! Exit code 0: done; 1: failed, with one line on the standard error stream; 2: bad usage.
 
 mod add;
+mod compare;
 mod convert;
 mod eval;
 mod fit;
@@ -41,6 +42,7 @@ enum Command {
     Eval(eval::Arguments),
     Sample(sample::Arguments),
     Convert(convert::Arguments),
+    Compare(compare::Arguments),
 }
 
 /// Arguments that fit the syntax but make no sense together.
@@ -79,6 +81,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Sample(arguments) => sample::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
     }
 }
 

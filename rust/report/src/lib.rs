@@ -1,5 +1,8 @@
-//! Error metrics of BRDFs.
+//! Error metrics of BRDFs and of images.
 
 pub mod brdf_error;
+pub mod error;
+pub mod image;
 
 pub use brdf_error::{BrdfError, Protocol};
+pub use error::Error;
