@@ -62,7 +62,8 @@ def test_traced_way_is_the_in_kernel_call(libraries, library):
     mi.set_variant("llvm_ad_rgb")
     light, view = hemisphere(PAIRS, 3), hemisphere(PAIRS, 4)
     bsdf = load(libraries[library], "metal")
-    assert "in-kernel call" in str(bsdf)
+    has_network = LIBRARIES[library]["kind"] != "ggx"
+    assert ("in-kernel call" in str(bsdf)) == has_network
     call, pdf = evaluate(bsdf, light, view)
     traced, traced_pdf = evaluate(bsdf, light, view, traced=True)
     # Two of the models subtract numbers of order 1, which leaves an absolute error.

@@ -62,6 +62,30 @@ def test_weight_is_value_over_density(libraries, library, material):
     assert np.all(np.array(sample.sampled_type) == +mi.BSDFFlags.GlossyReflection)
 
 
+@pytest.mark.parametrize("mode", ["Radiance", "Importance"])
+@pytest.mark.parametrize(("library", "material"), MATERIALS)
+def test_combined_query_is_the_two_that_it_stands_for(libraries, library, material, mode):
+    bsdf, n = load(libraries[library], material), 5_000
+    ctx = mi.BSDFContext()
+    ctx.mode = getattr(mi.TransportMode, mode)
+    # Directions below the horizon on either side, and inactive lanes.
+    si = interaction(hemisphere(n, 5, min_cos=-0.3))
+    light = mi.Vector3f(hemisphere(n, 6, min_cos=-0.3))
+    u = np.random.default_rng(7).random((3, n), np.float32)
+    u_lobe, u_direction = mi.Float(u[0]), mi.Point2f(u[1:])
+    active = mi.Bool(np.arange(n) % 7 != 3)
+    value, pdf, sample, weight = bsdf.eval_pdf_sample(ctx, si, light, u_lobe, u_direction, active)
+    expected_value, expected_pdf = bsdf.eval_pdf(ctx, si, light, active)
+    expected_sample, expected_weight = bsdf.sample(ctx, si, u_lobe, u_direction, active)
+    assert np.allclose(np.array(value), np.array(expected_value), rtol=1e-4, atol=1e-7)
+    assert np.allclose(np.array(weight), np.array(expected_weight), rtol=1e-4, atol=1e-7)
+    assert np.array_equal(np.array(pdf), np.array(expected_pdf))
+    assert np.array_equal(np.array(sample.pdf), np.array(expected_sample.pdf))
+    valid = np.array(sample.pdf) > 0
+    assert 0.3 < valid.mean() < 0.85
+    assert np.array_equal(np.array(sample.wo)[:, valid], np.array(expected_sample.wo)[:, valid])
+
+
 def spherical_grid(n_theta, n_phi):
     """Midpoints of a product grid over the hemisphere, fine towards the normal, and their solid angles."""
     edges = np.linspace(0, 1, n_theta + 1) ** 2

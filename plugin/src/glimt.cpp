@@ -145,31 +145,24 @@ public:
                                              Mask active) const override {
         MI_MASKED_FUNCTION(ProfilerPhase::BSDFSample, active);
 
-        BSDFSample3f bs = dr::zeros<BSDFSample3f>();
         active &= Frame3f::cos_theta(si.wi) > 0.f;
         if (!ctx.is_enabled(BSDFFlags::GlossyReflection) || dr::none_or<false>(active))
-            return { bs, 0.f };
+            return { dr::zeros<BSDFSample3f>(), 0.f };
 
-        bs.eta = 1.f;
-        bs.sampled_type = +BSDFFlags::GlossyReflection;
-        bs.sampled_component = 0;
-        Color3f weight;
         if constexpr (!dr::is_jit_v<Float>) {
             auto s = m_material->sample(array(si.wi), { sample1, sample2.x(), sample2.y() });
-            bs.wo = Vector3f(s.light[0], s.light[1], s.light[2]);
-            bs.pdf = s.pdf;
-            weight = Color3f(s.weight[0], s.weight[1], s.weight[2]);
+            BSDFSample3f bs = reflected(Vector3f(s.light[0], s.light[1], s.light[2]), s.pdf);
+            Color3f weight(s.weight[0], s.weight[1], s.weight[2]);
+            active &= s.pdf > 0.f;
             // The core's weight is that of radiance, for which wi is the view.
-            if (ctx.mode == TransportMode::Importance && s.pdf > 0.f)
+            if (ctx.mode == TransportMode::Importance && active)
                 weight = reflectance(ctx, si.wi, bs.wo, true) * (Frame3f::cos_theta(bs.wo) / s.pdf);
+            return { bs, colour(weight, si, active) };
         } else {
-            bs.wo = m_lobes.sample(si.wi, sample1, sample2);
-            active &= is_lit(si.wi, bs.wo);
-            bs.pdf = dr::select(active, m_lobes.pdf(bs.wo, si.wi), 0.f);
-            weight = reflectance(ctx, si.wi, bs.wo, active) * (Frame3f::cos_theta(bs.wo) / bs.pdf);
+            auto [bs, lit] = sample_lobes(si.wi, sample1, sample2, active);
+            Color3f f = reflectance(ctx, si.wi, bs.wo, lit);
+            return { bs, colour(f * (Frame3f::cos_theta(bs.wo) / bs.pdf), si, lit) };
         }
-        active &= bs.pdf > 0.f;
-        return { bs, depolarizer<Spectrum>(spectrum(weight, si, active)) & active };
     }
 
     Spectrum eval(const BSDFContext &ctx, const SurfaceInteraction3f &si, const Vector3f &wo,
@@ -185,6 +178,25 @@ public:
     std::pair<Spectrum, Float> eval_pdf(const BSDFContext &ctx, const SurfaceInteraction3f &si,
                                         const Vector3f &wo, Mask active) const override {
         return eval_pdf_impl<true, true>(ctx, si, wo, active);
+    }
+
+    std::tuple<Spectrum, Float, BSDFSample3f, Spectrum>
+    eval_pdf_sample(const BSDFContext &ctx, const SurfaceInteraction3f &si, const Vector3f &wo, Float sample1,
+                    const Point2f &sample2, Mask active) const override {
+        if constexpr (HasKernelCall) {
+            // f of both directions in one call. Where importance is transported they have no view in common.
+            if (ctx.mode == TransportMode::Radiance && ctx.is_enabled(BSDFFlags::GlossyReflection) &&
+                calls_from_kernel(si.wi, wo)) {
+                MI_MASKED_FUNCTION(ProfilerPhase::BSDFEvaluate, active);
+                Mask lit = active && is_lit(si.wi, wo);
+                auto [bs, chosen] = sample_lobes(si.wi, sample1, sample2, active);
+                auto [f, f_chosen] = m_call.eval(wo, lit, bs.wo, chosen, si.wi);
+                return { colour(f * Frame3f::cos_theta(wo), si, lit),
+                         dr::select(lit, m_lobes.pdf(wo, si.wi), 0.f), bs,
+                         colour(f_chosen * (Frame3f::cos_theta(bs.wo) / bs.pdf), si, chosen) };
+            }
+        }
+        return Base::eval_pdf_sample(ctx, si, wo, sample1, sample2, active);
     }
 
     std::string to_string() const override {
@@ -388,8 +400,7 @@ private:
         Spectrum value(0.f);
         Float density(0.f);
         if constexpr (Eval) {
-            Color3f rgb = reflectance(ctx, si.wi, wo, active) * cos_theta_o;
-            value = depolarizer<Spectrum>(spectrum(rgb, si, active)) & active;
+            value = colour(reflectance(ctx, si.wi, wo, active) * cos_theta_o, si, active);
         }
         if constexpr (Pdf) {
             if constexpr (dr::is_jit_v<Float>)
@@ -420,14 +431,37 @@ private:
             return { f[0], f[1], f[2] };
         } else {
             if constexpr (HasKernelCall) {
-                if (calls_from_kernel() && !dr::grad_enabled(light, view, m_kd, m_eta, m_alpha, m_latent))
+                if (calls_from_kernel(light, view))
                     return m_call.eval(light, view, active);
             }
             return m_model.eval(light, view, { m_kd, m_eta, alpha() }, m_latent, active);
         }
     }
 
-    /// The variant's kind of colour.
+    /// A sample of the one component that there is.
+    static BSDFSample3f reflected(const Vector3f &wo, const Float &pdf) {
+        BSDFSample3f bs = dr::zeros<BSDFSample3f>();
+        bs.wo = wo;
+        bs.pdf = pdf;
+        bs.eta = 1.f;
+        bs.sampled_type = +BSDFFlags::GlossyReflection;
+        return bs;
+    }
+
+    /// Traces the choice of a direction; also, where it did not fail.
+    std::pair<BSDFSample3f, Mask> sample_lobes(const Vector3f &wi, const Float &sample1, const Point2f &sample2,
+                                               const Mask &active) const {
+        Vector3f wo = m_lobes.sample(wi, sample1, sample2);
+        Mask lit = active && is_lit(wi, wo);
+        Float pdf = dr::select(lit, m_lobes.pdf(wo, wi), 0.f);
+        return { reflected(wo, pdf), lit && pdf > 0.f };
+    }
+
+    /// Linear RGB as the variant's kind of colour, where \c active.
+    Spectrum colour(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
+        return depolarizer<Spectrum>(spectrum(rgb, si, active)) & active;
+    }
+
     UnpolarizedSpectrum spectrum(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
         DRJIT_MARK_USED(si);
         DRJIT_MARK_USED(active);
@@ -444,7 +478,13 @@ private:
     /// An isotropic material exposes one roughness, and only that one can carry a gradient.
     Vector2f alpha() const { return { m_alpha.x(), m_isotropic ? m_alpha.x() : m_alpha.y() }; }
 
-    bool calls_from_kernel() const { return HasKernelCall && m_call_works; }
+    /// Is the network, where there is one, in the core? The analytic model alone is less work than a call.
+    bool calls_from_kernel() const { return HasKernelCall && m_call_works && m_model.has_network(); }
+
+    /// … for these directions, too? A call has no derivative.
+    bool calls_from_kernel(const Vector3f &wi, const Vector3f &wo) const {
+        return calls_from_kernel() && !dr::grad_enabled(wi, wo, m_kd, m_eta, m_alpha, m_latent);
+    }
 
     std::string m_file, m_name;
     std::shared_ptr<const Material> m_material;

@@ -21,9 +21,7 @@ namespace dr = drjit;
  *
  * The one place where a kernel of Dr.Jit 1.5 calls a foreign function is \c jit_llvm_ray_trace(),
  * which takes any function with the convention of Embree's \c rtcIntersectN(). rust/ffi/src/packet.rs
- * serves that convention: the ray's origin is the light direction, its direction the view direction,
- * its id and flags are the material's address, and the answer comes back in u, v and the primitive's
- * index. There is no scene.
+ * serves that convention and says which field of a ray carries what. There is no scene.
  *
  * The call has no derivative. It is not the documented purpose of that function either, which is
  * why \ref works() compares it with direct calls before anybody relies on it.
@@ -67,32 +65,14 @@ public:
 
     /// f_r(light, view); 0 in the lanes that are not active.
     Color3f eval(const Vector3f &light, const Vector3f &view, const dr::mask_t<Float> &active) const {
-        auto function = UInt64::steal(
-            jit_var_pointer(JitBackend::LLVM, m_function.data(), m_function.index(), 0));
-        UInt32 address_low(m_address), address_high(m_address >> 32);
-        auto l = dr::detach<false>(light), v = dr::detach<false>(view);
-        Bool lit = dr::detach<false>(active), coherent = false;
-        Value unused = dr::zeros<Value>();
-        UInt32 none = dr::zeros<UInt32>();
+        return call(light, active, dr::zeros<Vector3f>(), false, view).first;
+    }
 
-        uint32_t in[14] = { coherent.index(), lit.index(),                            // Flags
-                            l.x().index(),    l.y().index(), l.z().index(),           // Origin
-                            unused.index(),                                           // Near end
-                            v.x().index(),    v.y().index(), v.z().index(),           // Direction
-                            unused.index(),   unused.index(),                         // Time, far end
-                            none.index(),                                             // Mask
-                            address_low.index(), address_high.index() };              // Id, flags
-        // Out: valid, t, u, v, primitive, geometry, instance, hit on an instance?
-        uint32_t out[8];
-        jit_llvm_ray_trace(function.index(), /* scene = */ function.index(), /* shadow_ray = */ 0, in, out);
-        Value red = Value::steal(out[2]), green = Value::steal(out[3]);
-        Value blue = dr::reinterpret_array<Value>(UInt32::steal(out[4]));
-        for (uint32_t i : { 0, 1, 5, 6, 7 })
-            jit_var_dec_ref(out[i]);
-
-        // Lanes that were not called hold whatever was in the packet.
-        return { Float(dr::select(lit, red, 0.f)), Float(dr::select(lit, green, 0.f)),
-                 Float(dr::select(lit, blue, 0.f)) };
+    /// f_r of two lights and one view, each 0 in the lanes that are not active, in one call.
+    std::pair<Color3f, Color3f> eval(const Vector3f &light_1, const dr::mask_t<Float> &active_1,
+                                     const Vector3f &light_2, const dr::mask_t<Float> &active_2,
+                                     const Vector3f &view) const {
+        return call(light_1, active_1, light_2, active_2, view);
     }
 
     /// Does a kernel get the very values of direct calls, in active and inactive lanes?
@@ -114,22 +94,66 @@ public:
                             dr::load<Value>(xyz[2].data(), Count));
         };
         Bool mask = dr::load<Bool>(active.data(), Count);
-        auto value = dr::detach<false>(eval(load(light), load(view), mask));
-        dr::eval(value);
+        Vector3f first = load(light), second(first.y(), first.x(), first.z());
+        auto [f_1, f_2] = eval(first, mask, second, true, load(view));
+        auto value_1 = dr::detach<false>(f_1), value_2 = dr::detach<false>(f_2);
+        dr::eval(value_1, value_2);
         for (size_t i = 0; i < Count; ++i) {
-            std::array<float, 3> expected { 0.f, 0.f, 0.f };
+            const std::array<float, 3> v { view[0][i], view[1][i], view[2][i] };
+            std::array<float, 3> expected_1 { 0.f, 0.f, 0.f };
             if (active[i])
-                expected = m_material->eval({ light[0][i], light[1][i], light[2][i] },
-                                            { view[0][i], view[1][i], view[2][i] });
+                expected_1 = m_material->eval({ light[0][i], light[1][i], light[2][i] }, v);
+            auto expected_2 = m_material->eval({ light[1][i], light[0][i], light[2][i] }, v);
             for (size_t c = 0; c < 3; ++c)
-                // The kernels for one pair and for a tile round differently.
-                if (!(std::abs(value[c].entry(i) - expected[c]) <= 1e-4f * (expected[c] + 1e-3f)))
+                if (!agrees(value_1[c].entry(i), expected_1[c]) || !agrees(value_2[c].entry(i), expected_2[c]))
                     return false;
         }
         return true;
     }
 
 private:
+    /// Are these one value? The kernels for one pair and for many may round differently.
+    static bool agrees(float value, float expected) {
+        return std::abs(value - expected) <= 1e-4f * (expected + 1e-3f);
+    }
+
+    std::pair<Color3f, Color3f> call(const Vector3f &light_1, const dr::mask_t<Float> &active_1,
+                                     const Vector3f &light_2, const dr::mask_t<Float> &active_2,
+                                     const Vector3f &view) const {
+        auto function = UInt64::steal(
+            jit_var_pointer(JitBackend::LLVM, m_function.data(), m_function.index(), 0));
+        UInt32 address_low(m_address), address_high(m_address >> 32);
+        auto l_1 = dr::detach<false>(light_1), l_2 = dr::detach<false>(light_2),
+             v = dr::detach<false>(view);
+        Bool lit_1 = dr::detach<false>(active_1), lit_2 = dr::detach<false>(active_2);
+        Bool active = lit_1 | lit_2, coherent = false;
+        UInt32 wanted = dr::select(lit_1, UInt32(First), 0u) | dr::select(lit_2, UInt32(Second), 0u);
+
+        uint32_t in[14] = { coherent.index(), active.index(),                         // Flags
+                            l_1.x().index(),  l_1.y().index(), l_1.z().index(),       // Origin
+                            l_2.x().index(),                                          // Near end
+                            v.x().index(),    v.y().index(),   v.z().index(),         // Direction
+                            l_2.y().index(),  l_2.z().index(),                        // Time, far end
+                            wanted.index(),                                           // Mask
+                            address_low.index(), address_high.index() };              // Id, flags
+        // Out: valid, t, u, v, primitive, geometry, instance, hit on an instance?
+        uint32_t out[8];
+        jit_llvm_ray_trace(function.index(), /* scene = */ function.index(), /* shadow_ray = */ 0, in, out);
+        for (uint32_t i : { 0, 7 })
+            jit_var_dec_ref(out[i]);
+        auto bits = [](uint32_t index) { return dr::reinterpret_array<Value>(UInt32::steal(index)); };
+        // Lanes that were not called hold whatever was in the packet.
+        auto f = [](const Bool &lit, const Value &red, const Value &green, const Value &blue) {
+            return Color3f(Float(dr::select(lit, red, 0.f)), Float(dr::select(lit, green, 0.f)),
+                           Float(dr::select(lit, blue, 0.f)));
+        };
+        Value t = Value::steal(out[1]), u = Value::steal(out[2]), w = Value::steal(out[3]);
+        return { f(lit_1, u, w, bits(out[4])), f(lit_2, t, bits(out[5]), bits(out[6])) };
+    }
+
+    /// What is asked for in a lane, see rust/ffi/src/packet.rs.
+    static constexpr uint32_t First = 1, Second = 2;
+
     /// What keeps a material, and the memory that the variable with its address maps.
     struct Owner {
         uint64_t address;

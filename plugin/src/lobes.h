@@ -37,23 +37,26 @@ template <typename Float> struct TracedLobes {
 
     /// Chooses a light direction, which failed where it is below the horizon.
     Vector3f sample(const Vector3f &view, const Float &u_lobe, const Point2f &u) const {
-        return dr::select(u_lobe < specular_weight, sample_visible_normal(view, u), sample_cosine(u));
+        // Both lobes turn a point of a disc or a cap by the same azimuth, so that one sine serves both.
+        auto specular = u_lobe < specular_weight;
+        auto [sin_phi, cos_phi] = dr::sincos(dr::TwoPi<Float> * dr::select(specular, u.x(), u.y()));
+        return dr::select(specular, visible_normal(view, u.y(), sin_phi, cos_phi),
+                          cosine(u.x(), sin_phi, cos_phi));
     }
 
 private:
-    static Vector3f sample_cosine(const Point2f &u) {
-        Float r = dr::sqrt(u.x());
-        auto [sin_phi, cos_phi] = dr::sincos(dr::TwoPi<Float> * u.y());
-        return { r * cos_phi, r * sin_phi, dr::sqrt(dr::maximum(1.f - u.x(), 0.f)) };
+    static Vector3f cosine(const Float &u, const Float &sin_phi, const Float &cos_phi) {
+        Float r = dr::sqrt(u);
+        return { r * cos_phi, r * sin_phi, dr::sqrt(dr::maximum(1.f - u, 0.f)) };
     }
 
     /// Spherical caps: Dupuy & Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps".
-    Vector3f sample_visible_normal(const Vector3f &view, const Point2f &u) const {
+    Vector3f visible_normal(const Vector3f &view, const Float &u, const Float &sin_phi,
+                            const Float &cos_phi) const {
         Vector3f stretch(alpha.x(), alpha.y(), 1.f);
         Vector3f standard_view = dr::normalize(view * stretch);
-        Float z = (1.f - u.y()) * (1.f + standard_view.z()) - standard_view.z();
+        Float z = (1.f - u) * (1.f + standard_view.z()) - standard_view.z();
         Float r = dr::sqrt(dr::maximum(1.f - z * z, 0.f));
-        auto [sin_phi, cos_phi] = dr::sincos(dr::TwoPi<Float> * u.x());
         Vector3f cap(r * cos_phi, r * sin_phi, z);
         Vector3f half = dr::normalize((cap + standard_view) * stretch);
         return 2.f * dr::dot(view, half) * half - view;

@@ -30,6 +30,8 @@ public:
     TracedModel() = default;
     explicit TracedModel(const core::Material &material) : m_model(material.model()) { }
 
+    bool has_network() const { return m_model.kind != core::Kind::Ggx; }
+
     /// f_r(light, view), linear RGB; 0 in the lanes that are not active.
     Color3f eval(const Vector3f &light, const Vector3f &view, const TracedMicrofacet<Float> &microfacet,
                  const FloatStorage &latent, const Mask &active) const {

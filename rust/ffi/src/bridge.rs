@@ -1,8 +1,10 @@
 //! What the Mitsuba plugin calls: one material, opened, edited, evaluated and sampled.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::SystemTime;
 
-use glimt_core::simd::Lane3;
 use glimt_core::{Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
 
 use crate::packet::eval_packet_address;
@@ -119,6 +121,8 @@ mod ffi {
 pub struct Material {
     name: String,
     material: glimt_core::Material,
+    /// Kept so that the next BSDF of the scene finds it open.
+    library: Arc<Library>,
 }
 
 /// What `f` returns, or `fallback` where it panics: a panic that reached C++ would end the process.
@@ -131,12 +135,34 @@ fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String>
     guarded(Err("internal error (a panic, see the standard error stream)".into()), f)
 }
 
-fn open(path: &str, name: &str) -> Result<Box<Material>, String> {
+pub fn open(path: &str, name: &str) -> Result<Box<Material>, String> {
     guarded_result(|| {
-        let library = Library::open(path).map_err(|e| e.to_string())?;
+        let library = shared_library(path)?;
         let entry = library.entry((!name.is_empty()).then_some(name)).map_err(|e| e.to_string())?;
-        Ok(Box::new(Material { name: entry.name.clone(), material: entry.material.clone() }))
+        let (name, material) = (entry.name.clone(), entry.material.clone());
+        Ok(Box::new(Material { name, material, library }))
     })
+}
+
+/// The library at `path`, which is opened once for all BSDFs of a scene: that their materials share one
+/// network in memory is what lets a packet of them be evaluated in one go.
+fn shared_library(path: &str) -> Result<Arc<Library>, String> {
+    /// A file as it was when it was opened: one that changed since is opened anew.
+    type State = (PathBuf, Option<SystemTime>, u64);
+    static OPEN: Mutex<Vec<(State, Weak<Library>)>> = Mutex::new(Vec::new());
+
+    let state =
+        std::fs::metadata(path).ok().map(|file| (PathBuf::from(path), file.modified().ok(), file.len()));
+    // A panic while the list was locked left it whole: it is changed by single calls.
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    open.retain(|(_, library)| library.strong_count() > 0);
+    let found = open.iter().find(|(other, _)| Some(other) == state.as_ref());
+    if let Some(library) = found.and_then(|(_, library)| library.upgrade()) {
+        return Ok(library);
+    }
+    let library = Arc::new(Library::open(path).map_err(|e| e.to_string())?);
+    open.extend(state.map(|state| (state, Arc::downgrade(&library))));
+    Ok(library)
 }
 
 impl Material {
@@ -150,7 +176,7 @@ impl Material {
             if !latent.is_empty() {
                 material = material.with_latent(latent.to_vec())?;
             }
-            Ok(Box::new(Material { name: self.name.clone(), material }))
+            Ok(Box::new(Material { name: self.name.clone(), material, library: self.library.clone() }))
         })
     }
 
@@ -244,9 +270,9 @@ impl Material {
         ffi::Sample { light: light.to_array(), pdf, weight: weight.to_array() }
     }
 
-    /// f_r in every lane; what the packets call.
-    pub fn eval_tile(&self, light: &Lane3, view: &Lane3, f: &mut Lane3) {
-        self.material.eval_tile(light, view, f);
+    /// The material as the packets evaluate it.
+    pub fn core(&self) -> &glimt_core::Material {
+        &self.material
     }
 }
 
