@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use crate::simd::{LANES, Lane3};
+use crate::simd::{LANES, Lane3, Real};
 
 /// A sampled light direction.
 ///
@@ -40,6 +40,20 @@ pub trait Brdf: Send + Sync {
         }
     }
 
+    /// [`Brdf::eval`] for as many pairs as the slices are long, `[component][pair]`. Packets of 4, 8 and 16
+    /// pairs are what models with kernels evaluate in one go.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        check_lengths(&light, &view, &out);
+        let [red, green, blue] = out;
+        for i in 0..red.len() {
+            let at = |v: [&[f32]; 3]| Vec3::new(v[0][i], v[1][i], v[2][i]);
+            [red[i], green[i], blue[i]] = self.eval(at(light), at(view)).to_array();
+        }
+    }
+
     /// [`Brdf::eval`] for as many pairs as `out` is long.
     ///
     /// # Panics
@@ -63,6 +77,14 @@ pub trait Brdf: Send + Sync {
     }
 }
 
+/// # Panics
+/// If the slices of a packet differ in length.
+pub(crate) fn check_lengths(light: &[&[f32]; 3], view: &[&[f32]; 3], out: &[&mut [f32]; 3]) {
+    let n = out[0].len();
+    let inputs_fit = light.iter().chain(view).all(|v| v.len() == n);
+    assert!(inputs_fit && out[1].len() == n && out[2].len() == n, "as many lights as views and results");
+}
+
 /// A BRDF that can be importance sampled, with the density of its sampler known exactly.
 pub trait SampleBrdf: Brdf {
     /// Density (sr⁻¹, solid angle of `light`) with which [`sample`](Self::sample) chooses `light`.
@@ -81,25 +103,31 @@ const LENGTH_SQUARED: [f32; 2] = [0.25, 4.0];
 #[inline]
 #[must_use]
 pub fn is_lit(light: Vec3, view: Vec3) -> bool {
+    lit(light.to_array(), view.to_array())
+}
+
+/// [`is_lit`] in any number of lanes.
+#[inline(always)]
+#[must_use]
+pub fn lit<F: Real>(light: [F; 3], view: [F; 3]) -> F::Mask {
     // Comparisons with NaN are false.
-    let is_direction = |v: Vec3| (LENGTH_SQUARED[0]..=LENGTH_SQUARED[1]).contains(&v.length_squared());
-    light.z > 0.0 && view.z > 0.0 && is_direction(light) && is_direction(view)
+    light[0].both(is_direction_above(light), is_direction_above(view))
+}
+
+#[inline(always)]
+fn is_direction_above<F: Real>(v: [F; 3]) -> F::Mask {
+    let square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    let [least, most] = [square.splat(LENGTH_SQUARED[0]), square.splat(LENGTH_SQUARED[1])];
+    let is_direction = square.both(least.less(square), square.less(most));
+    square.both(is_direction, square.splat(0.0).less(v[2]))
 }
 
 /// Sets the lanes of `f` that [`is_lit`] rejects to 0.
 #[inline(always)]
 pub fn mask_unlit(light: &Lane3, view: &Lane3, f: &mut Lane3) {
-    let is_direction = |v: &Lane3, lane: usize| {
-        let square = v[0][lane] * v[0][lane] + v[1][lane] * v[1][lane] + v[2][lane] * v[2][lane];
-        (LENGTH_SQUARED[0]..=LENGTH_SQUARED[1]).contains(&square)
-    };
     for lane in 0..LANES {
-        let lit = (light[2][lane] > 0.0)
-            & (view[2][lane] > 0.0)
-            & is_direction(light, lane)
-            & is_direction(view, lane);
-        for f in f.iter_mut() {
-            f[lane] = if lit { f[lane] } else { 0.0 };
+        if !is_lit(lane_of(light, lane), lane_of(view, lane)) {
+            set_lane(f, lane, Vec3::ZERO);
         }
     }
 }

@@ -9,7 +9,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::math::ln;
-use crate::simd::{LANES, Lane, Lane3};
+use crate::microfacet::Half;
+use crate::simd::Real;
 
 /// Most features that any choice of inputs has.
 pub const MAX_FEATURES: usize = 8;
@@ -60,174 +61,117 @@ impl Inputs {
         (self != Inputs::Cartesian).then(|| self.count() - 1)
     }
 
-    /// The features of one pair above the horizon; the first [`Inputs::count`] are set.
+    /// The features of pairs above the horizon, in any number of lanes; the first [`Inputs::count`] are set.
     #[inline(always)]
     #[must_use]
-    pub fn compute(self, light: [f32; 3], view: [f32; 3], alpha: [f32; 2]) -> [f32; MAX_FEATURES] {
-        match self {
-            Inputs::Cartesian => [light[0], light[1], light[2], view[0], view[1], view[2], 0.0, 0.0],
-            Inputs::Isotropic => {
-                let p = HalfDifference::new(light, view);
-                let lobe = p.lobe(alpha);
-                [
-                    centre(p.root_h),
-                    centre(p.cos_d),
-                    p.cos_phi_d,
-                    centre(light[2]),
-                    centre(view[2]),
-                    lobe,
-                    0.0,
-                    0.0,
-                ]
-            }
-            Inputs::IsotropicReciprocal => {
-                let p = HalfDifference::new(light, view);
-                let (cos_2_phi, _) = p.double_phi_d();
-                let (sum, product) = symmetric(light[2], view[2]);
-                [centre(p.root_h), centre(p.cos_d), cos_2_phi, sum, product, p.lobe(alpha), 0.0, 0.0]
-            }
-            Inputs::Anisotropic => {
-                let p = HalfDifference::new(light, view);
-                let [x, y] = p.azimuth_h.map(|a| a * p.root_h);
-                let lobe = p.lobe(alpha);
-                [x, y, centre(p.cos_d), p.cos_phi_d, p.sin_phi_d, centre(light[2]), centre(view[2]), lobe]
-            }
-            Inputs::AnisotropicReciprocal => {
-                let p = HalfDifference::new(light, view);
-                let [x, y] = p.azimuth_h.map(|a| a * p.root_h);
-                let (cos_2_phi, sin_2_phi) = p.double_phi_d();
-                let (sum, product) = symmetric(light[2], view[2]);
-                [x, y, centre(p.cos_d), cos_2_phi, sin_2_phi, sum, product, p.lobe(alpha)]
-            }
-        }
+    pub fn compute<F: Real>(self, light: [F; 3], view: [F; 3], alpha: [f32; 2]) -> [F; MAX_FEATURES] {
+        self.compute_half(&Half::new(light, view), light, view, alpha)
     }
 
-    /// [`Inputs::compute`] in every lane, to `x[feature][lane]`.
+    /// [`Inputs::compute`] where the half vector is known.
     #[inline(always)]
-    pub fn compute_lanes(self, light: &Lane3, view: &Lane3, alpha: [f32; 2], x: &mut [Lane]) {
-        // One loop for each choice, so that the choice is not made in every lane.
+    #[must_use]
+    pub fn compute_half<F: Real>(
+        self,
+        half: &Half<F>,
+        light: [F; 3],
+        view: [F; 3],
+        alpha: [f32; 2],
+    ) -> [F; MAX_FEATURES] {
+        let none = light[0].splat(0.0);
+        if self == Inputs::Cartesian {
+            return [light[0], light[1], light[2], view[0], view[1], view[2], none, none];
+        }
+        let root_h = root_h(half);
+        let cos_d = centre(half.cos_d());
+        let [cos_phi_d, sin_phi_d] = azimuth_d(half, light, view);
+        // cos 2φ_d and sin 2φ_d do not change when light and view change places.
+        let [cos_2_phi_d, sin_2_phi_d] =
+            [cos_phi_d * cos_phi_d - sin_phi_d * sin_phi_d, cos_phi_d * sin_phi_d * 2.0];
+        let [sum, product] = [light[2] + view[2] - 1.0, centre(light[2] * view[2])];
+        let [light_z, view_z] = [centre(light[2]), centre(view[2])];
+        let lobe = lobe(half, alpha);
         match self {
-            Inputs::Cartesian => fill(Inputs::Cartesian, light, view, alpha, x),
-            Inputs::Isotropic => fill(Inputs::Isotropic, light, view, alpha, x),
-            Inputs::IsotropicReciprocal => fill(Inputs::IsotropicReciprocal, light, view, alpha, x),
-            Inputs::Anisotropic => fill(Inputs::Anisotropic, light, view, alpha, x),
-            Inputs::AnisotropicReciprocal => fill(Inputs::AnisotropicReciprocal, light, view, alpha, x),
+            Inputs::Cartesian | Inputs::Isotropic => {
+                [centre(root_h), cos_d, cos_phi_d, light_z, view_z, lobe, none, none]
+            }
+            Inputs::IsotropicReciprocal => {
+                [centre(root_h), cos_d, cos_2_phi_d, sum, product, lobe, none, none]
+            }
+            Inputs::Anisotropic => {
+                let [x, y] = azimuth_h(half);
+                [x * root_h, y * root_h, cos_d, cos_phi_d, sin_phi_d, light_z, view_z, lobe]
+            }
+            Inputs::AnisotropicReciprocal => {
+                let [x, y] = azimuth_h(half);
+                [x * root_h, y * root_h, cos_d, cos_2_phi_d, sin_2_phi_d, sum, product, lobe]
+            }
         }
     }
 
     /// Derivatives of the lobe feature with respect to α_x and α_y.
+    #[inline(always)]
     #[must_use]
-    pub fn lobe_derivative(light: [f32; 3], view: [f32; 3], alpha: [f32; 2]) -> [f32; 2] {
-        let p = HalfDifference::new(light, view);
-        let scale = -2.0 * LOBE_SCALE / (p.height + p.slope(alpha)).max(f32::MIN_POSITIVE);
-        [0, 1].map(|i| scale * p.tangential[i] / alpha[i].powi(3))
-    }
-}
-
-#[inline(always)]
-fn fill(inputs: Inputs, light: &Lane3, view: &Lane3, alpha: [f32; 2], x: &mut [Lane]) {
-    let x = &mut x[..inputs.count()];
-    for lane in 0..LANES {
-        let features = inputs.compute(
-            [light[0][lane], light[1][lane], light[2][lane]],
-            [view[0][lane], view[1][lane], view[2][lane]],
-            alpha,
-        );
-        for (x, feature) in x.iter_mut().zip(features) {
-            x[lane] = feature;
-        }
+    pub fn lobe_derivative<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> [F; 2] {
+        let spread = half.height + half.slope(alpha);
+        let scale = half.height.splat(-2.0 * LOBE_SCALE) / spread.max(spread.splat(f32::MIN_POSITIVE));
+        let [x, y] = [alpha[0] * alpha[0] * alpha[0], alpha[1] * alpha[1] * alpha[1]];
+        [scale * half.tangential[0] * (1.0 / x), scale * half.tangential[1] * (1.0 / y)]
     }
 }
 
 /// Brings ln(1 + tan²θ_h/α²), which reaches 10 to 20, to the size of the other features.
 const LOBE_SCALE: f32 = 0.2;
 
+/// Squared length below which the direction of a vector is rounding noise.
+const NOISE_SQUARED: f32 = 1e-14;
+
 /// [0, 1] to [−1, 1].
 #[inline(always)]
-fn centre(x: f32) -> f32 {
-    2.0 * x - 1.0
+fn centre<F: Real>(x: F) -> F {
+    x * 2.0 - 1.0
 }
 
-/// Sum and product of the cosines, each on [−1, 1]; equal for both orders.
+/// (1 − cosθ_h)^¼.
 #[inline(always)]
-fn symmetric(a: f32, b: f32) -> (f32, f32) {
-    (a + b - 1.0, centre(a * b))
+fn root_h<F: Real>(half: &Half<F>) -> F {
+    // 1 − cosθ_h = sin²θ_h/(1 + cosθ_h), with no cancellation near the normal.
+    let divisor = half.length_squared + half.length * half.vector[2];
+    (half.across / divisor.max(divisor.splat(f32::MIN_POSITIVE))).sqrt().sqrt()
 }
 
-/// A pair of directions as half vector h and difference d.
-struct HalfDifference {
-    /// (1 − cosθ_h)^¼.
-    root_h: f32,
-    /// cos φ_h, sin φ_h; 0 where h = n.
-    azimuth_h: [f32; 2],
-    /// cosθ_d.
-    cos_d: f32,
-    /// Azimuth of the light about h, from the plane of n and h; 0 where h = n or light = view.
-    cos_phi_d: f32,
-    sin_phi_d: f32,
-    /// h_x², h_y² and h_z² of the half vector that is not normalised.
-    tangential: [f32; 2],
-    height: f32,
-}
-
-impl HalfDifference {
-    #[inline(always)]
-    fn new(light: [f32; 3], view: [f32; 3]) -> Self {
-        let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
-        let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
-        let tangential = [h[0] * h[0], h[1] * h[1]];
-        let height = h[2] * h[2];
-        let across = tangential[0] + tangential[1];
-        let length_squared = (across + height).max(f32::MIN_POSITIVE);
-        let length = length_squared.sqrt();
-        // 1 − cosθ_h = sin²θ_h/(1 + cosθ_h), with no cancellation near the normal.
-        let one_minus_cos = across / (length_squared + length * h[2]);
-        let inverse_across = inverse_or_zero(across.sqrt());
-        let azimuth_h = [h[0] * inverse_across, h[1] * inverse_across];
-        // d is at right angles to h. Its components in the plane of n and h, and along n × h, are
-        // −d_z/sinθ_h and d·(n × h)/|n × h|; they add up to |d| = 2 sinθ_d.
-        let along = -d[2] * length * inverse_across;
-        let beside = d[1] * azimuth_h[0] - d[0] * azimuth_h[1];
-        let inverse_d = inverse_or_zero((along * along + beside * beside).sqrt());
-        HalfDifference {
-            root_h: one_minus_cos.sqrt().sqrt(),
-            azimuth_h,
-            cos_d: (0.5 * length).min(1.0),
-            cos_phi_d: along * inverse_d,
-            sin_phi_d: beside * inverse_d,
-            tangential,
-            height,
-        }
-    }
-
-    /// (h_x/α_x)² + (h_y/α_y)².
-    #[inline(always)]
-    fn slope(&self, alpha: [f32; 2]) -> f32 {
-        self.tangential[0] / (alpha[0] * alpha[0]) + self.tangential[1] / (alpha[1] * alpha[1])
-    }
-
-    /// ln(1 + tan²θ_h/α²), scaled; the same in every direction that has the same D(h).
-    #[inline(always)]
-    fn lobe(&self, alpha: [f32; 2]) -> f32 {
-        // Both directions above the horizon make h_z² > 0, but it may be denormal.
-        LOBE_SCALE * ln(1.0 + (self.slope(alpha) / self.height.max(f32::MIN_POSITIVE)).min(f32::MAX))
-    }
-
-    /// cos 2φ_d and sin 2φ_d, which do not change when light and view change places.
-    #[inline(always)]
-    fn double_phi_d(&self) -> (f32, f32) {
-        (
-            self.cos_phi_d * self.cos_phi_d - self.sin_phi_d * self.sin_phi_d,
-            2.0 * self.cos_phi_d * self.sin_phi_d,
-        )
-    }
-}
-
-/// 1/x, or 0 where x is so small that the direction it would scale is rounding noise.
+/// cos φ_h, sin φ_h; 0 where h = n.
 #[inline(always)]
-fn inverse_or_zero(x: f32) -> f32 {
-    const NOISE: f32 = 1e-7;
-    if x > NOISE { 1.0 / x } else { 0.0 }
+fn azimuth_h<F: Real>(half: &Half<F>) -> [F; 2] {
+    let none = half.across.splat(0.0);
+    let inverse = half.across.sqrt().reciprocal();
+    let inverse = inverse.or_else(half.across.splat(NOISE_SQUARED).less(half.across), none);
+    [half.vector[0] * inverse, half.vector[1] * inverse]
+}
+
+/// Cosine and sine of the azimuth of the light about h, from the plane of n and h; 0 where h = n or
+/// light = view.
+#[inline(always)]
+fn azimuth_d<F: Real>(half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 2] {
+    let [h_x, h_y, _] = half.vector;
+    // d = light − view is at right angles to h. Its components in the plane of n and h, and along n × h,
+    // are −d_z/sinθ_h and d·(n × h)/|n × h|; here both are multiplied by |n × h|.
+    let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
+    let along = -d[2] * half.length;
+    let beside = d[1] * h_x - d[0] * h_y;
+    let square = along * along + beside * beside;
+    let noise = square.splat(NOISE_SQUARED);
+    let distinct = square.both(noise.less(half.across), (noise * half.across).less(square));
+    let inverse = square.sqrt().reciprocal().or_else(distinct, square.splat(0.0));
+    [along * inverse, beside * inverse]
+}
+
+/// ln(1 + tan²θ_h/α²), scaled; the same in every direction that has the same D(h).
+#[inline(always)]
+fn lobe<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> F {
+    // Both directions above the horizon make h_z² > 0, but it may be denormal.
+    let tangent_squared = half.slope(alpha) / half.height.max(half.height.splat(f32::MIN_POSITIVE));
+    ln(tangent_squared.at_most(f32::MAX) + 1.0) * LOBE_SCALE
 }
 
 /// The same features in float64 by the angles' definitions. What tests compare against.
@@ -297,7 +241,8 @@ mod tests {
             prop_assume!(h.z < 0.999 && light.distance(view) > 0.05);
             for inputs in ALL {
                 let truth = reference::compute(inputs, light, view, [0.1, 0.3]);
-                let features = inputs.compute(light.as_vec3().into(), view.as_vec3().into(), [0.1, 0.3]);
+                let features: [f32; MAX_FEATURES] =
+                    inputs.compute(light.as_vec3().into(), view.as_vec3().into(), [0.1, 0.3]);
                 prop_assert_eq!(truth.len(), inputs.count());
                 for (i, truth) in truth.iter().enumerate() {
                     prop_assert!((f64::from(features[i]) - truth).abs() < 2e-5, "{:?} {}: {} {}", inputs, i, features[i], truth);
@@ -307,7 +252,7 @@ mod tests {
 
         #[test]
         fn reciprocal_features_do_not_see_the_order(light in direction(), view in direction()) {
-            let (l, v) = (light.as_vec3().into(), view.as_vec3().into());
+            let (l, v): ([f32; 3], [f32; 3]) = (light.as_vec3().into(), view.as_vec3().into());
             for inputs in ALL.into_iter().filter(|i| i.is_reciprocal()) {
                 prop_assert_eq!(inputs.compute(l, v, [0.2, 0.4]), inputs.compute(v, l, [0.2, 0.4]));
             }
@@ -315,7 +260,7 @@ mod tests {
 
         #[test]
         fn lobe_derivative_is_the_slope(light in direction(), view in direction()) {
-            let (l, v) = (light.as_vec3().into(), view.as_vec3().into());
+            let (l, v): ([f32; 3], [f32; 3]) = (light.as_vec3().into(), view.as_vec3().into());
             let alpha = [0.3f32, 0.5];
             for axis in 0..2 {
                 let shifted = |delta: f32| {
@@ -324,7 +269,7 @@ mod tests {
                     Inputs::Anisotropic.compute(l, v, alpha)[7]
                 };
                 let slope = (shifted(2e-3) - shifted(-2e-3)) / 4e-3;
-                let derivative = Inputs::lobe_derivative(l, v, alpha)[axis];
+                let derivative = Inputs::lobe_derivative(&Half::new(l, v), alpha)[axis];
                 prop_assert!((derivative - slope).abs() < 1e-3 * (1.0 + slope.abs()), "{} {}", derivative, slope);
             }
         }
@@ -337,7 +282,7 @@ mod tests {
             [(Vec3::Z, Vec3::Z), (grazing, -grazing.with_z(-1e-30)), (grazing, grazing), (Vec3::Z, grazing)];
         for inputs in ALL {
             for (l, v) in pairs {
-                let features = inputs.compute(l.into(), v.into(), [1e-4; 2]);
+                let features: [f32; MAX_FEATURES] = inputs.compute(l.into(), v.into(), [1e-4; 2]);
                 assert!(features.iter().all(|f| f.abs() <= 40.0), "{inputs:?} at {l} {v}: {features:?}");
             }
         }

@@ -1,13 +1,10 @@
 //! `ggx`: the analytic BRDF alone, as a material.
 
-use glam::Vec3;
-
-use crate::brdf::{Brdf, is_lit, mask_unlit};
-use crate::dispatch;
+use crate::kernel::Kernel;
 use crate::lobes::Lobes;
 use crate::microfacet::Microfacet;
 use crate::model::Model;
-use crate::simd::{LANES, Lane3};
+use crate::simd::{Lanes, Vector};
 
 /// A material that is [`Microfacet`] and nothing else. Reciprocal.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,42 +56,23 @@ impl Model for Ggx {
     }
 }
 
-impl Brdf for Ggx {
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        if is_lit(light, view) { self.microfacet.eval(light.into(), view.into()).into() } else { Vec3::ZERO }
-    }
-
-    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        eval_tile(&self.microfacet, light, view, out);
-        mask_unlit(light, view, out);
-    }
-}
-
-dispatch! {
-    fn eval_tile(_isa, microfacet: &Microfacet, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        microfacet.eval_lanes(light, view, out);
-    }
-}
-
-impl Microfacet {
-    /// [`Microfacet::eval`] in every lane.
+impl Kernel for Ggx {
     #[inline(always)]
-    pub(crate) fn eval_lanes(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        for lane in 0..LANES {
-            let f = self.eval(
-                [light[0][lane], light[1][lane], light[2][lane]],
-                [view[0][lane], view[1][lane], view[2][lane]],
-            );
-            for (out, f) in out.iter_mut().zip(f) {
-                out[lane] = f;
-            }
-        }
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        _isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        self.microfacet.eval(light, view)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Brdf;
+    use glam::Vec3;
 
     #[test]
     fn batch_and_single_agree_to_the_bit() {

@@ -14,15 +14,14 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::{Brdf, is_lit, mask_unlit};
-use crate::dispatch;
 use crate::features::{Inputs, MAX_FEATURES};
+use crate::kernel::{Kernel, splat3};
 use crate::lobes::Lobes;
 use crate::math::{exp, ln, sigmoid};
-use crate::microfacet::Microfacet;
+use crate::microfacet::{Half, Microfacet};
 use crate::model::Model;
-use crate::network::{MAX_WIDTH, Network};
-use crate::simd::{LANES, Lane, Lane3};
+use crate::network::{MAX_WIDTH, Network, Rows};
+use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// How the network's outputs and f_a make f.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,11 +49,11 @@ impl Composition {
     /// f of one channel from the network's outputs a and b and the analytic value.
     #[inline(always)]
     #[must_use]
-    pub fn compose(self, a: f32, b: f32, analytic: f32, bound: f32) -> f32 {
-        let a = if bound < a { bound } else { a };
+    pub fn compose<F: Real>(self, a: F, b: F, analytic: F, bound: f32) -> F {
+        let a = a.at_most(bound);
         match self {
-            Composition::GatedResidual => exp(a) + sigmoid(b) * analytic,
-            Composition::Additive => (analytic + a).max(0.0),
+            Composition::GatedResidual => sigmoid(b).fma(analytic, exp(a)),
+            Composition::Additive => (analytic + a).max(a.splat(0.0)),
             Composition::LogMultiplicative => analytic * exp(a),
         }
     }
@@ -82,31 +81,35 @@ impl Form {
         self.inputs.count() + if self.analytic_input { 3 } else { 0 }
     }
 
-    /// The network's inputs in every lane, to `x[feature][lane]`; `analytic` is f_a.
+    /// f_a, and the network's inputs to `x[input][lane]`, which have much in common.
     #[inline(always)]
-    pub fn features_lanes(
+    pub fn inputs_and_analytic<I: Lanes<L>, const L: usize>(
         self,
-        alpha: [f32; 2],
-        light: &Lane3,
-        view: &Lane3,
-        analytic: &Lane3,
-        x: &mut [Lane],
-    ) {
-        self.inputs.compute_lanes(light, view, alpha, x);
+        microfacet: &Microfacet,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+        x: &mut [[f32; L]; MAX_INPUTS],
+    ) -> [Vector<I, L>; 3] {
+        let half = Half::new(light, view);
+        let analytic = microfacet.eval_half(&half, light, view);
+        let features = self.inputs.compute_half(&half, light, view, microfacet.alpha);
+        let count = self.inputs.count();
+        for i in 0..count {
+            features[i].store(&mut x[i]);
+        }
         if self.analytic_input {
-            for (x, f) in x[self.inputs.count()..].iter_mut().zip(analytic) {
-                for lane in 0..LANES {
-                    x[lane] = Form::analytic_feature(f[lane]);
-                }
+            for c in 0..3 {
+                Form::analytic_feature(analytic[c]).store(&mut x[count + c]);
             }
         }
+        analytic
     }
 
     /// The network input for an analytic value: its logarithm, on the scale of the other inputs.
     #[inline(always)]
     #[must_use]
-    pub fn analytic_feature(analytic: f32) -> f32 {
-        ANALYTIC_SCALE * ln(analytic + ANALYTIC_FLOOR)
+    pub fn analytic_feature<F: Real>(analytic: F) -> F {
+        ln(analytic + ANALYTIC_FLOOR) * ANALYTIC_SCALE
     }
 
     /// Derivative of [`Form::analytic_feature`].
@@ -115,6 +118,9 @@ impl Form {
         ANALYTIC_SCALE / (analytic + ANALYTIC_FLOOR)
     }
 }
+
+/// Most inputs of a network that change with the directions.
+pub const MAX_INPUTS: usize = MAX_FEATURES + 3;
 
 /// Keeps the logarithm finite; far below any reflectance that is measured.
 const ANALYTIC_FLOOR: f32 = 1e-4;
@@ -260,52 +266,43 @@ impl Model for Hybrid {
 /// widens lobes more often than it narrows them.
 const LOBE_FACTORS: [f32; 6] = [0.7, 1.0, 1.4, 2.0, 2.8, 4.0];
 
-impl Brdf for Hybrid {
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        let mut f = Vec3::ZERO;
-        if is_lit(light, view) {
-            eval_one(self, light, view, &mut f);
+impl Kernel for Hybrid {
+    #[inline(always)]
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let mut x = [[0.0; L]; MAX_INPUTS];
+        let analytic = self.form.inputs_and_analytic(&self.microfacet, light, view, &mut x);
+        let mut y = Rows::default();
+        self.network.forward_tile(isa, &self.first_bias, &x, &mut y);
+        let mut f = analytic;
+        for c in 0..3 {
+            let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + 3])];
+            f[c] = self.form.composition.compose(a, b, analytic[c], self.bound);
         }
         f
     }
 
-    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        eval_tile(self, light, view, out);
-        mask_unlit(light, view, out);
-    }
-}
-
-dispatch! {
-    fn eval_one(isa, material: &Hybrid, light: Vec3, view: Vec3, f: &mut Vec3) {
-        let (light, view) = (light.to_array(), view.to_array());
-        let analytic = material.microfacet.eval(light, view);
-        let mut x = [0.0; MAX_FEATURES + 3];
-        x[..MAX_FEATURES].copy_from_slice(&material.form.inputs.compute(light, view, material.microfacet.alpha));
-        if material.form.analytic_input {
-            for (x, f) in x[material.form.inputs.count()..].iter_mut().zip(analytic) {
-                *x = Form::analytic_feature(f);
-            }
+    #[inline(always)]
+    fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
+        let mut x = [[0.0; 4]; MAX_INPUTS];
+        let (light, view) = (splat3(isa, light), splat3(isa, view));
+        let analytic = self.form.inputs_and_analytic(&self.microfacet, light, view, &mut x);
+        let mut first = [0.0; MAX_INPUTS];
+        for (first, x) in first.iter_mut().zip(&x) {
+            *first = x[0];
         }
         let mut y = [0.0; MAX_WIDTH];
-        material.network.forward_one(isa, &material.first_bias, &x, &mut y);
-        *f = Vec3::from_array([0, 1, 2].map(|c| {
-            material.form.composition.compose(y[c], y[c + 3], analytic[c], material.bound)
-        }));
-    }
-}
-
-dispatch! {
-    fn eval_tile(isa, material: &Hybrid, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        let mut x = [[0.0; LANES]; MAX_FEATURES + 3];
-        material.microfacet.eval_lanes(light, view, out);
-        material.form.features_lanes(material.microfacet.alpha, light, view, out, &mut x);
-        let mut y = [[0.0; LANES]; MAX_WIDTH];
-        material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
-        for (c, f) in out.iter_mut().enumerate() {
-            for lane in 0..LANES {
-                f[lane] = material.form.composition.compose(y[c][lane], y[c + 3][lane], f[lane], material.bound);
-            }
-        }
+        self.network.forward_one(isa, &self.first_bias, &first, &mut y);
+        // From here on, the channels stand side by side.
+        let channels = |v: [f32; 3]| Vector::<I, 4>::load(isa, &[v[0], v[1], v[2], 0.0]);
+        let analytic = channels([analytic[0].first(), analytic[1].first(), analytic[2].first()]);
+        let (a, b) = (channels([y[0], y[1], y[2]]), channels([y[3], y[4], y[5]]));
+        let f = self.form.composition.compose(a, b, analytic, self.bound).to_array();
+        Vec3::new(f[0], f[1], f[2])
     }
 }
 
@@ -340,6 +337,7 @@ pub mod reference {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Brdf;
     use crate::network::{Activation, tests::patterned};
     use glam::DVec3;
 

@@ -6,6 +6,7 @@ pub mod factor;
 pub mod features;
 pub mod ggx;
 pub mod hybrid;
+pub mod kernel;
 pub mod library;
 pub mod lobes;
 pub mod material;

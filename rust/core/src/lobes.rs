@@ -6,7 +6,7 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, is_lit};
-use crate::microfacet::{Microfacet, masking_denominator};
+use crate::microfacet::{Half, masking_denominator};
 
 /// A cosine lobe and a GGX lobe, mixed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -177,14 +177,14 @@ fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f32) -> Vec3 
 
 /// Density of [`sample_visible_normal`]: D_v(h)/(4 cosθ_d) = G₁(v) D(h) / (4 cosθ_v).
 fn visible_normal_pdf(alpha: [f32; 2], light: Vec3, view: Vec3) -> f32 {
-    let lobe = Microfacet { kd: [0.0; 3], eta: [1.0; 3], alpha };
-    let geometry = lobe.geometry(light.into(), view.into());
-    0.5 * geometry.ndf / masking_denominator(view.into(), alpha)
+    let view: [f32; 3] = view.into();
+    0.5 * Half::new(light.into(), view).ndf(alpha) / masking_denominator(view, alpha)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::microfacet::Microfacet;
 
     struct Lambert;
 

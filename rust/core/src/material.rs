@@ -136,6 +136,14 @@ impl Brdf for Material {
     fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
         with_model!(self, model => model.eval_tile(light, view, out));
     }
+
+    fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        with_model!(self, model => model.eval_packet(light, view, out));
+    }
+
+    fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
+        with_model!(self, model => model.eval_batch(light, view, out));
+    }
 }
 
 impl SampleBrdf for Material {

@@ -1,19 +1,26 @@
-//! Elementary functions as branch-free float32 expressions.
+//! Elementary functions as branch-free polynomials, in any number of lanes.
 //!
-//! A loop over an array that calls one of these vectorises, and a single call gives the very same
-//! bits, because neither fuses multiply and add. The error budgets are constants that the tests
-//! enforce over the whole range on which the functions are used.
+//! The error budgets are constants that the tests enforce over the whole range on which the functions
+//! are used, in every instruction set.
 
-use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
+use std::f32::consts::{FRAC_PI_2, FRAC_PI_4, LOG2_E};
+
+use crate::simd::Real;
 
 /// Largest relative error of [`exp`] on [`EXP_MIN`], [`EXP_MAX`].
 pub const EXP_MAX_RELATIVE_ERROR: f64 = 1.3e-7;
 /// Below this [`exp`] stays at its value here, 1.2e-38: the smallest normal number.
 pub const EXP_MIN: f32 = -87.3;
-/// Above this [`exp`] stays at its value here, 3.3e38: the last before infinity.
-pub const EXP_MAX: f32 = 88.7;
+/// Above this [`exp`] stays at its value here, 2.2e38: the last whose power of two is a float.
+pub const EXP_MAX: f32 = 88.3;
 /// Largest error of [`ln`] on positive normal numbers: absolute where |ln x| < 1, else relative.
 pub const LN_MAX_ERROR: f64 = 1.3e-7;
+/// Largest relative error of [`sigmoid`] down to −[`EXP_MIN`], and in absolute terms everywhere.
+pub const SIGMOID_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
+
+/// ln 2 in two parts; the product of the first with any whole |n| ≤ 128 is exact.
+const LN_2_HIGH: f32 = 0.693_359_4;
+const LN_2_LOW: f32 = -2.121_944_4e-4;
 
 /// Largest relative error of [`angle`].
 pub const ANGLE_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
@@ -23,68 +30,51 @@ pub const ANGLE_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
 /// Range reduction to ±ln 2/2 and the polynomial of Cephes' `expf` (Moshier 1992).
 #[inline(always)]
 #[must_use]
-pub fn exp(x: f32) -> f32 {
+pub fn exp<F: Real>(x: F) -> F {
     // Adding and subtracting 1.5·2²³ rounds to the nearest integer in every vector instruction set.
     const ROUND: f32 = 12_582_912.0;
-    // ln 2 in two parts; the product of the first with any |n| ≤ 128 is exact.
-    const LN_2_HIGH: f32 = 0.693_359_4;
-    const LN_2_LOW: f32 = -2.121_944_4e-4;
+    /// By rising powers from r².
+    const COEFFICIENTS: [f32; 6] =
+        [0.5, 1.666_666_5e-1, 4.166_579_6e-2, 8.333_452e-3, 1.398_199_9e-3, 1.987_569_1e-4];
 
-    let x = clamp(x, EXP_MIN, EXP_MAX);
-    let n = (x * std::f32::consts::LOG2_E + ROUND) - ROUND;
-    let r = (x - n * LN_2_HIGH) - n * LN_2_LOW;
-    let mut p = 1.987_569_1e-4;
-    p = p * r + 1.398_199_9e-3;
-    p = p * r + 8.333_452e-3;
-    p = p * r + 4.166_579_6e-2;
-    p = p * r + 1.666_666_5e-1;
-    p = p * r + 0.5;
-    let mantissa = p * (r * r) + r + 1.0;
-    // Two factors, because 2ⁿ itself overflows at n = 128 while the product does not.
-    let half = (n * 0.5) as i32;
-    mantissa * power_of_two(half) * power_of_two(n as i32 - half)
+    let x = x.clamped(EXP_MIN, EXP_MAX);
+    let n = x.fma(x.splat(LOG2_E), x.splat(ROUND)) - ROUND;
+    let r = n.fma(x.splat(-LN_2_LOW), n.fma(x.splat(-LN_2_HIGH), x));
+    let tail = polynomial(r, COEFFICIENTS).fma(r * r, r);
+    (tail + 1.0) * n.power_of_two()
 }
 
-/// 2ⁿ for |n| ≤ 126.
-#[inline(always)]
-fn power_of_two(n: i32) -> f32 {
-    f32::from_bits(((n + 127) << 23) as u32)
-}
-
-/// Natural logarithm of a positive normal number. Anything else gives a meaningless finite number.
+/// Natural logarithm of a positive normal number. Anything else gives a meaningless number.
 ///
 /// Mantissa in [√½, √2) and the polynomial of Cephes' `logf` (Moshier 1992).
 #[inline(always)]
 #[must_use]
-pub fn ln(x: f32) -> f32 {
-    const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
-    const LN_2_HIGH: f32 = 0.693_359_4;
-    const LN_2_LOW: f32 = -2.121_944_4e-4;
+pub fn ln<F: Real>(x: F) -> F {
+    /// By rising powers from r³.
+    const COEFFICIENTS: [f32; 9] = [
+        3.333_333e-1,
+        -2.499_999_4e-1,
+        2.000_071_4e-1,
+        -1.666_805_7e-1,
+        1.424_932_3e-1,
+        -1.242_014_1e-1,
+        1.167_699_9e-1,
+        -1.151_461e-1,
+        7.037_683_6e-2,
+    ];
 
-    let bits = x.to_bits() as i32;
-    let exponent = bits.wrapping_sub(SQRT_HALF_BITS) >> 23;
-    let mantissa = f32::from_bits(bits.wrapping_sub(exponent << 23) as u32);
-    let n = exponent as f32;
+    let (n, mantissa) = x.exponent_and_mantissa();
     let r = mantissa - 1.0;
-    let mut p = 7.037_683_6e-2;
-    p = p * r - 1.151_461e-1;
-    p = p * r + 1.167_699_9e-1;
-    p = p * r - 1.242_014_1e-1;
-    p = p * r + 1.424_932_3e-1;
-    p = p * r - 1.666_805_7e-1;
-    p = p * r + 2.000_071_4e-1;
-    p = p * r - 2.499_999_4e-1;
-    p = p * r + 3.333_333e-1;
     let square = r * r;
-    let tail = (p * r) * square + n * LN_2_LOW - 0.5 * square;
-    (r + tail) + n * LN_2_HIGH
+    let tail = (polynomial(r, COEFFICIENTS) * r).fma(square, n * LN_2_LOW) - square * 0.5;
+    n.fma(x.splat(LN_2_HIGH), r + tail)
 }
 
 /// 1/(1 + e⁻ˣ).
 #[inline(always)]
 #[must_use]
-pub fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + exp(-x))
+pub fn sigmoid<F: Real>(x: F) -> F {
+    (exp(-x) + 1.0).reciprocal()
 }
 
 /// Angle in [0, π/2] of the point (`along`, `across`), neither of which is negative; 0 at the origin.
@@ -92,28 +82,28 @@ pub fn sigmoid(x: f32) -> f32 {
 /// The polynomial of Cephes' `atanf` (Moshier 1992) on [−tan π/8, tan π/8], about 0 or π/4.
 #[inline(always)]
 #[must_use]
-pub fn angle(across: f32, along: f32) -> f32 {
+pub fn angle<F: Real>(across: F, along: F) -> F {
     const TAN_PI_8: f32 = 0.414_213_56;
-    let (low, high) = if across > along { (along, across) } else { (across, along) };
-    let high = high.max(f32::MIN_POSITIVE);
-    let far = low > TAN_PI_8 * high;
-    let t = if far { low - high } else { low } / if far { low + high } else { high };
+    /// By rising powers from t³.
+    const COEFFICIENTS: [f32; 4] = [-3.333_295e-1, 1.997_771_1e-1, -1.387_768_6e-1, 8.053_744_5e-2];
+
+    let (low, high) = (across.min(along), along.max(across).max(along.splat(f32::MIN_POSITIVE)));
+    let far = (high * TAN_PI_8).less(low);
+    let t = (low - high).or_else(far, low) / (low + high).or_else(far, high);
     let square = t * t;
-    let mut p = 8.053_744_5e-2;
-    p = p * square - 1.387_768_6e-1;
-    p = p * square + 1.997_771_1e-1;
-    p = p * square - 3.333_295e-1;
-    let angle = (p * square * t + t) + if far { FRAC_PI_4 } else { 0.0 };
-    if across > along { FRAC_PI_2 - angle } else { angle }
+    let angle = (polynomial(square, COEFFICIENTS) * square).fma(t, t);
+    let angle = (angle + FRAC_PI_4).or_else(far, angle);
+    (-(angle - FRAC_PI_2)).or_else(along.less(across), angle)
 }
 
-/// x limited to [low, high]; NaN stays NaN, as the comparisons are written to compile to one
-/// minimum and one maximum instruction each.
+/// Σ `coefficients[i]` xⁱ by Horner's rule.
 #[inline(always)]
-#[must_use]
-pub fn clamp(x: f32, low: f32, high: f32) -> f32 {
-    let x = if low > x { low } else { x };
-    if high < x { high } else { x }
+fn polynomial<F: Real, const N: usize>(x: F, coefficients: [f32; N]) -> F {
+    let mut sum = x.splat(coefficients[N - 1]);
+    for i in (0..N - 1).rev() {
+        sum = sum.fma(x, x.splat(coefficients[i]));
+    }
+    sum
 }
 
 #[cfg(test)]

@@ -7,6 +7,8 @@
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
+use crate::simd::Real;
+
 /// Smallest roughness: below it, the lobe is narrower than float32 half vectors resolve.
 pub const MIN_ALPHA: f32 = 1e-4;
 
@@ -54,49 +56,93 @@ impl Microfacet {
         self.alpha.map(|a| (a * factor).clamp(MIN_ALPHA, 1.0))
     }
 
-    /// f_a for directions above the horizon. Branch-free, for the lanes of a tile.
+    /// f_a for directions above the horizon. Branch-free, in any number of lanes.
     #[inline(always)]
     #[must_use]
-    pub fn eval(&self, light: [f32; 3], view: [f32; 3]) -> [f32; 3] {
-        let geometry = self.geometry(light, view);
-        let specular = geometry.ndf / (geometry.light_masking * geometry.view_masking);
-        let channel = |c: usize| self.kd[c] * FRAC_1_PI + fresnel(geometry.cos_d, self.eta[c]) * specular;
-        [channel(0), channel(1), channel(2)]
+    pub fn eval<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [F; 3] {
+        self.eval_half(&Half::new(light, view), light, view)
     }
 
-    /// The parts of the microfacet term that the colour channels share.
+    /// [`Microfacet::eval`] where the half vector is known.
     #[inline(always)]
     #[must_use]
-    pub fn geometry(&self, light: [f32; 3], view: [f32; 3]) -> Geometry {
-        let [ax, ay] = self.alpha;
-        // Half vector, not normalised. D depends on directions through
-        // r = |h|² / ((h_x/α_x)² + (h_y/α_y)² + h_z²) alone, which is 1 at h = n and falls off it,
-        // without the difference of close numbers that the usual form in cosθ_h has at small α.
-        let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
-        let (sx, sy) = (h[0] / ax, h[1] / ay);
-        let length_squared = h[0] * h[0] + h[1] * h[1] + h[2] * h[2];
-        let r = length_squared / (sx * sx + sy * sy + h[2] * h[2]).max(f32::MIN_POSITIVE);
-        Geometry {
-            ndf: r * r / (PI * ax * ay),
-            light_masking: masking_denominator(light, self.alpha),
-            view_masking: masking_denominator(view, self.alpha),
-            // For unit vectors |l + v| = 2 cosθ_d, which stays accurate at grazing differences.
-            cos_d: (0.5 * length_squared.sqrt()).min(1.0),
-        }
+    pub fn eval_half<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 3] {
+        let shape = self.shape(half, light, view);
+        let cos_d = half.cos_d();
+        [
+            fresnel(cos_d, self.eta[0]).fma(shape, shape.splat(self.kd[0] * FRAC_1_PI)),
+            fresnel(cos_d, self.eta[1]).fma(shape, shape.splat(self.kd[1] * FRAC_1_PI)),
+            fresnel(cos_d, self.eta[2]).fma(shape, shape.splat(self.kd[2] * FRAC_1_PI)),
+        ]
+    }
+
+    /// D G / (4 cosθ_l cosθ_v), which the colour channels share, in sr⁻¹.
+    #[inline(always)]
+    #[must_use]
+    pub fn shape<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> F {
+        let masking = masking_denominator(light, self.alpha) * masking_denominator(view, self.alpha);
+        half.ndf(self.alpha) / masking
     }
 }
 
-/// What [`Microfacet::geometry`] returns.
+/// The half vector of a pair of directions, h = light + view, not normalised, and its squares.
 #[derive(Clone, Copy, Debug)]
-pub struct Geometry {
-    /// D(h) in sr⁻¹.
-    pub ndf: f32,
-    /// [`masking_denominator`] of the light.
-    pub light_masking: f32,
-    /// [`masking_denominator`] of the view.
-    pub view_masking: f32,
-    /// Cosine between the half vector and either direction.
-    pub cos_d: f32,
+pub struct Half<F> {
+    /// h.
+    pub vector: [F; 3],
+    /// h_x² and h_y².
+    pub tangential: [F; 2],
+    /// h_z².
+    pub height: F,
+    /// h_x² + h_y².
+    pub across: F,
+    /// |h|².
+    pub length_squared: F,
+    /// |h|.
+    pub length: F,
+}
+
+impl<F: Real> Half<F> {
+    /// Of a pair of directions.
+    #[inline(always)]
+    #[must_use]
+    pub fn new(light: [F; 3], view: [F; 3]) -> Self {
+        let vector = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+        let tangential = [vector[0] * vector[0], vector[1] * vector[1]];
+        let height = vector[2] * vector[2];
+        let across = tangential[0] + tangential[1];
+        let length_squared = across + height;
+        Half { vector, tangential, height, across, length_squared, length: length_squared.sqrt() }
+    }
+
+    /// Cosine between the half vector and either direction: for unit vectors |l + v| = 2 cosθ_d, which
+    /// stays accurate at grazing differences.
+    #[inline(always)]
+    #[must_use]
+    pub fn cos_d(&self) -> F {
+        (self.length * 0.5).min(self.length.splat(1.0))
+    }
+
+    /// D(h) of GGX in sr⁻¹.
+    ///
+    /// It depends on directions through r = |h|² / ((h_x/α_x)² + (h_y/α_y)² + h_z²) alone, which is 1 at
+    /// h = n and falls off it, without the difference of close numbers that the usual form in cosθ_h has
+    /// at small α.
+    #[inline(always)]
+    #[must_use]
+    pub fn ndf(&self, alpha: [f32; 2]) -> F {
+        let spread = self.slope(alpha) + self.height;
+        let r = self.length_squared / spread.max(spread.splat(f32::MIN_POSITIVE));
+        r * r * (1.0 / (PI * alpha[0] * alpha[1]))
+    }
+
+    /// (h_x/α_x)² + (h_y/α_y)².
+    #[inline(always)]
+    #[must_use]
+    pub fn slope(&self, alpha: [f32; 2]) -> F {
+        let [x, y] = [1.0 / alpha[0], 1.0 / alpha[1]];
+        self.tangential[0] * (x * x) + self.tangential[1] * (y * y)
+    }
 }
 
 /// cosθ + √(cos²θ + (α_x x)² + (α_y y)²), with which Smith's G₁ = 2 cosθ / this.
@@ -105,28 +151,31 @@ pub struct Geometry {
 /// division by a cosine that may vanish.
 #[inline(always)]
 #[must_use]
-pub fn masking_denominator(direction: [f32; 3], alpha: [f32; 2]) -> f32 {
+pub fn masking_denominator<F: Real>(direction: [F; 3], alpha: [f32; 2]) -> F {
     let [x, y, z] = direction;
     let (x, y) = (x * alpha[0], y * alpha[1]);
-    (z + (z * z + x * x + y * y).sqrt()).max(f32::MIN_POSITIVE)
+    (z + (z * z + x * x + y * y).sqrt()).max(z.splat(f32::MIN_POSITIVE))
 }
 
 /// Reflectance of a smooth dielectric with relative index `eta` ≥ 1 for unpolarized light that
 /// arrives from outside at cosine `cos`.
 ///
-/// The form of Cook & Torrance 1982, with g − c written as (η² − 1)/(g + c): it keeps its relative
-/// accuracy where η is close to 1.
+/// The form of Cook & Torrance 1982: with g = √(η² − 1 + c²) and s = g + c, the reflectances are the
+/// squares of (g − c)/s and of that times (c s − 1)/(c (g − c) + 1). Written with g − c = (η² − 1)/s it
+/// keeps its relative accuracy where η is close to 1, and on a common denominator it takes one division.
 #[inline(always)]
 #[must_use]
-pub fn fresnel(cos: f32, eta: f32) -> f32 {
+pub fn fresnel<F: Real>(cos: F, eta: f32) -> F {
+    // At η = 1 and cos = 0 the sum vanishes; any is right there, for 0 is what η = 1 has. At the next
+    // float above 1 the sum is at least 4e-4.
+    const LEAST_SUM: f32 = 1e-8;
     let excess = (eta - 1.0) * (eta + 1.0);
-    let sum = (excess + cos * cos).sqrt() + cos;
-    // At η = 1 and cos = 0 both vanish; any reflectance is right there, and 0 is what η = 1 has.
-    let sum = sum.max(f32::MIN_POSITIVE);
-    let difference = excess / sum;
-    let ratio = difference / sum;
-    let parallel = (cos * sum - 1.0) / (cos * difference + 1.0);
-    0.5 * ratio * ratio * (1.0 + parallel * parallel)
+    let sum = ((cos * cos + excess).sqrt() + cos).max(cos.splat(LEAST_SUM));
+    let divisor = cos * excess + sum;
+    let ratio = cos.splat(excess) / (sum * sum * divisor);
+    let perpendicular = ratio * divisor;
+    let parallel = ratio * ((cos * sum - 1.0) * sum);
+    (perpendicular * perpendicular + parallel * parallel) * 0.5
 }
 
 /// The same functions in float64, written as the paper prints them. What tests compare against.
@@ -244,7 +293,6 @@ mod tests {
     #[test]
     fn ndf_integrates_to_one_over_projected_area() {
         for alpha in [[0.1, 0.1], [0.3, 0.7], [1.0, 1.0]] {
-            let p = Microfacet { kd: [0.0; 3], eta: [1.5; 3], alpha };
             let (n_theta, n_phi) = (4000, 64);
             let mut sum = 0.0;
             for i in 0..n_theta {
@@ -256,7 +304,7 @@ mod tests {
                     let phi = (f64::from(j) + 0.5) / f64::from(n_phi) * std::f64::consts::TAU;
                     let h = [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()].map(|x| x as f32);
                     let d_omega = theta.sin() * d_theta * std::f64::consts::TAU / f64::from(n_phi);
-                    sum += f64::from(p.geometry(h, h).ndf) * theta.cos() * d_omega;
+                    sum += f64::from(Half::new(h, h).ndf(alpha)) * theta.cos() * d_omega;
                 }
             }
             assert!((sum - 1.0).abs() < 1e-4, "α = {alpha:?}: ∫ D cosθ = {sum}");

@@ -9,13 +9,12 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::brdf::{Brdf, is_lit, mask_unlit};
-use crate::dispatch;
+use crate::kernel::{Kernel, splat3};
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
-use crate::network::{MAX_WIDTH, Network};
-use crate::simd::{LANES, Lane, Lane3};
+use crate::network::{MAX_WIDTH, Network, Rows};
+use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Network inputs: h and d.
 pub const FEATURES: usize = 6;
@@ -77,71 +76,61 @@ impl Model for Nbrdf {
     }
 }
 
-impl Brdf for Nbrdf {
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        let mut f = Vec3::ZERO;
-        if is_lit(light, view) {
-            eval_one(self, light, view, &mut f);
+impl Kernel for Nbrdf {
+    #[inline(always)]
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let features = half_difference(light, view);
+        let mut x = [[0.0; L]; FEATURES];
+        for i in 0..FEATURES {
+            features[i].store(&mut x[i]);
         }
-        f
+        let mut y = Rows::default();
+        self.network.forward_tile(isa, &self.first_bias, &x, &mut y);
+        let f = Vector::load3(isa, &[y[0], y[1], y[2]]);
+        [radiance(f[0]), radiance(f[1]), radiance(f[2])]
     }
 
-    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        eval_tile(self, light, view, out);
-        mask_unlit(light, view, out);
-    }
-}
-
-dispatch! {
-    fn eval_one(isa, material: &Nbrdf, light: Vec3, view: Vec3, f: &mut Vec3) {
+    #[inline(always)]
+    fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
         let mut y = [0.0; MAX_WIDTH];
-        let x = half_difference(light.to_array(), view.to_array());
-        material.network.forward_one(isa, &material.first_bias, &x, &mut y);
-        *f = Vec3::new(radiance(y[0]), radiance(y[1]), radiance(y[2]));
-    }
-}
-
-dispatch! {
-    fn eval_tile(isa, material: &Nbrdf, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        let mut x = [[0.0; LANES]; FEATURES];
-        for lane in 0..LANES {
-            let features = half_difference(
-                [light[0][lane], light[1][lane], light[2][lane]],
-                [view[0][lane], view[1][lane], view[2][lane]],
-            );
-            for (x, feature) in x.iter_mut().zip(features) {
-                x[lane] = feature;
-            }
+        let features = half_difference(splat3::<I, 4>(isa, light), splat3(isa, view));
+        let mut x = [0.0; FEATURES];
+        for i in 0..FEATURES {
+            x[i] = features[i].first();
         }
-        let mut y = [[0.0; LANES]; MAX_WIDTH];
-        material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
-        for (out, y) in out.iter_mut().zip(&y) {
-            for lane in 0..LANES {
-                out[lane] = radiance(y[lane]);
-            }
-        }
+        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        let f = radiance(Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0])).to_array();
+        Vec3::new(f[0], f[1], f[2])
     }
 }
 
 /// f from the network's output.
 #[inline(always)]
-fn radiance(y: f32) -> f32 {
-    (exp(if MAX_OUTPUT < y { MAX_OUTPUT } else { y }) - 1.0).max(0.0)
+fn radiance<F: Real>(y: F) -> F {
+    (exp(y.at_most(MAX_OUTPUT)) - 1.0).max(y.splat(0.0))
 }
 
 /// (h, d): the half vector turned about n to azimuth 0, and the light in the frame whose pole is h.
 #[inline(always)]
-fn half_difference(light: [f32; 3], view: [f32; 3]) -> [f32; FEATURES] {
+fn half_difference<F: Real>(light: [F; 3], view: [F; 3]) -> [F; FEATURES] {
     let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+    let [zero, one] = [h[0].splat(0.0), h[0].splat(1.0)];
     let across = (h[0] * h[0] + h[1] * h[1]).sqrt();
-    let length = (across * across + h[2] * h[2]).sqrt().max(f32::MIN_POSITIVE);
+    let length = (across * across + h[2] * h[2]).sqrt().max(h[0].splat(f32::MIN_POSITIVE));
     // Where h = n its azimuth is 0 by convention.
-    let [cos_phi, sin_phi] = if across > 0.0 { [h[0] / across, h[1] / across] } else { [1.0, 0.0] };
+    let inclined = zero.less(across);
+    let [cos_phi, sin_phi] =
+        [(h[0] / across).or_else(inclined, one), (h[1] / across).or_else(inclined, zero)];
     let [sin_theta, cos_theta] = [across / length, h[2] / length];
     let along = light[0] * cos_phi + light[1] * sin_phi;
     [
         sin_theta,
-        0.0,
+        zero,
         cos_theta,
         along * cos_theta - light[2] * sin_theta,
         light[1] * cos_phi - light[0] * sin_phi,
@@ -170,6 +159,7 @@ pub mod reference {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Brdf;
     use crate::network::{Activation, tests::patterned};
 
     #[test]

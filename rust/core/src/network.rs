@@ -1,10 +1,16 @@
 //! Small multilayer perceptrons: their weights, and the kernels that evaluate them.
 //!
-//! Two shapes of kernel share one set of weights. [`Network::forward_tile`] takes [`LANES`] samples
-//! side by side, with lanes across samples; [`Network::forward_one`] takes one sample, with lanes
-//! across neurons. The two add in the same order, so that their results differ by nothing.
+//! Two shapes of kernel share one set of weights. [`Network::forward_tile`] takes samples side by side,
+//! with lanes across samples; [`Network::forward_one`] takes one sample, with lanes across neurons.
+//!
+//! HardGELU is x(x + 1.5)/3 between −1.5 and 1.5. In v = (x + 1.5)/3, limited to [0, 1] as t, a third of it
+//! is t(t − ½) + max(v, 0) − t: two limits, which run beside the multiply-adds, two sums and one
+//! multiply-add. The kernels therefore compute v and a third of the activation, and the packed weights and
+//! biases have the factors and the shift in them.
 
-use crate::simd::{Isa, LANES, Lane};
+use std::mem::MaybeUninit;
+
+use crate::simd::{Isa, LANES, Lane, Lanes};
 
 /// Widest layer that the kernels hold on the stack.
 pub const MAX_WIDTH: usize = 64;
@@ -83,14 +89,48 @@ impl Activation {
     }
 }
 
-/// A layer's weights in the orders that the kernels read.
+/// How the kernels' numbers differ from a network's: they compute `scale` x + `shift` in place of the sum x
+/// before an activation, and the activation over `gain` in place of the activation.
+#[derive(Clone, Copy)]
+struct Units {
+    scale: f64,
+    shift: f64,
+    gain: f64,
+}
+
+impl Units {
+    const PLAIN: Units = Units { scale: 1.0, shift: 0.0, gain: 1.0 };
+}
+
+impl Activation {
+    fn units(self) -> Units {
+        match self {
+            Activation::HardGelu => Units { scale: 1.0 / 3.0, shift: 0.5, gain: 3.0 },
+            Activation::Relu => Units::PLAIN,
+        }
+    }
+
+    /// The activation in the kernels' units.
+    #[inline(always)]
+    fn activate<I: Lanes<L>, const L: usize>(self, isa: I, v: I::Vector) -> I::Vector {
+        let v = isa.positive(v);
+        match self {
+            Activation::HardGelu => {
+                let t = isa.min_positive(v, isa.splat(1.0));
+                isa.fma(t, isa.sub(t, isa.splat(0.5)), isa.sub(v, t))
+            }
+            Activation::Relu => v,
+        }
+    }
+}
+
+/// A layer's weights in the orders and units in which the kernels read them.
 #[derive(Clone, Debug)]
 struct PackedLayer {
     inputs: usize,
-    /// Outputs, padded to a multiple of [`ROW_BLOCK`].
-    rows: usize,
-    /// [rows/4][inputs][4]: what the tile kernel broadcasts, four rows at a time.
-    by_rows: Vec<[f32; 4]>,
+    /// [rows/8][inputs][8], with as many rows as outputs and zeros to a multiple of [`ROW_BLOCK`]: what the
+    /// tile kernel broadcasts.
+    by_rows: Vec<[f32; ROW_BLOCK]>,
     /// [inputs][vectors]: what the single kernel loads, [`LANES`] rows at a time.
     by_columns: Vec<Lane>,
     /// [vectors].
@@ -98,70 +138,52 @@ struct PackedLayer {
 }
 
 impl PackedLayer {
-    /// Packs the columns `first..first + inputs` of `layer`.
-    fn new(layer: &Layer, first: usize, inputs: usize) -> Self {
-        let rows = layer.outputs().next_multiple_of(ROW_BLOCK);
+    /// Packs the first columns of `layer`, `inputs` of them, which come in the units `from`; the sums go in
+    /// the units `to`.
+    fn new(layer: &Layer, inputs: usize, from: Units, to: Units) -> Self {
+        let blocks = layer.outputs().div_ceil(ROW_BLOCK);
         let vectors = layer.outputs().div_ceil(LANES);
-        let mut by_rows = vec![[0.0; 4]; rows / 4 * inputs];
+        let mut by_rows = vec![[0.0; ROW_BLOCK]; blocks * inputs];
         let mut by_columns = vec![[0.0; LANES]; vectors * inputs];
         let mut bias = vec![[0.0; LANES]; vectors];
         for row in 0..layer.outputs() {
-            bias[row / LANES][row % LANES] = layer.bias[row];
+            bias[row / LANES][row % LANES] = (to.scale * f64::from(layer.bias[row]) + to.shift) as f32;
             for column in 0..inputs {
-                let w = layer.weight[row * layer.inputs() + first + column];
-                by_rows[row / 4 * inputs + column][row % 4] = w;
+                let w = layer.weight[row * layer.inputs() + column];
+                let w = (f64::from(w) * from.gain * to.scale) as f32;
+                by_rows[row / ROW_BLOCK * inputs + column][row % ROW_BLOCK] = w;
                 by_columns[column * vectors + row / LANES][row % LANES] = w;
             }
         }
-        PackedLayer { inputs, rows, by_rows, by_columns, bias }
+        PackedLayer { inputs, by_rows, by_columns, bias }
     }
 
-    /// y = activation(W x + bias) for [`LANES`] samples, with `bias` in place of the layer's own.
+    /// y = activation(W x + bias) for `L` samples, with `bias` in place of the layer's own.
     #[inline(always)]
-    fn forward_tile<I: Isa>(
+    fn forward_tile<I: Lanes<L>, const L: usize>(
         &self,
         isa: I,
         bias: &[Lane],
-        x: &[Lane],
-        y: &mut [Lane; MAX_WIDTH],
+        x: &[[f32; L]],
+        y: &mut Rows<L>,
         activation: Option<Activation>,
     ) {
-        // The two shapes of the same loop nest, with all accumulators in registers.
-        if I::ROWS == 8 {
-            self.forward_rows::<I, 8, 2>(isa, bias, x, y, activation);
-        } else {
-            self.forward_rows::<I, 4, 1>(isa, bias, x, y, activation);
-        }
-    }
-
-    /// [`PackedLayer::forward_tile`], `ROWS` = 4 `GROUPS` rows at a time.
-    #[inline(always)]
-    fn forward_rows<I: Isa, const ROWS: usize, const GROUPS: usize>(
-        &self,
-        isa: I,
-        bias: &[Lane],
-        x: &[Lane],
-        y: &mut [Lane; MAX_WIDTH],
-        activation: Option<Activation>,
-    ) {
-        let x = &x[..self.inputs];
-        for row in (0..self.rows).step_by(ROWS) {
-            let mut sums = [isa.splat(0.0); ROWS];
-            for r in 0..ROWS {
-                sums[r] = isa.splat(bias[(row + r) / LANES][(row + r) % LANES]);
-            }
-            let weights = &self.by_rows[row / 4 * self.inputs..][..GROUPS * self.inputs];
-            for (column, x) in x.iter().enumerate() {
-                let x = isa.load(x);
-                for group in 0..GROUPS {
-                    let w = weights[group * self.inputs + column];
-                    for r in 0..4 {
-                        sums[4 * group + r] = isa.fma(isa.splat(w[r]), x, sums[4 * group + r]);
+        y.clear();
+        let bias = bias.as_flattened();
+        let (blocks, x) = (self.by_rows.chunks_exact(self.inputs), &x[..self.inputs]);
+        for (weights, bias) in blocks.zip(bias.chunks_exact(ROW_BLOCK)) {
+            // The shapes of the same loop nest, with all accumulators in registers.
+            match I::ROWS {
+                8 => forward_rows::<I, L, 8>(isa, weights, 0, bias, x, y, activation),
+                4 => {
+                    forward_rows::<I, L, 4>(isa, weights, 0, bias, x, y, activation);
+                    forward_rows::<I, L, 4>(isa, weights, 4, bias, x, y, activation);
+                }
+                _ => {
+                    for row in (0..ROW_BLOCK).step_by(2) {
+                        forward_rows::<I, L, 2>(isa, weights, row, bias, x, y, activation);
                     }
                 }
-            }
-            for r in 0..ROWS {
-                store_activated(isa, sums[r], activation, &mut y[row + r]);
             }
         }
     }
@@ -194,30 +216,93 @@ impl PackedLayer {
         y: &mut [Lane; MAX_VECTORS],
         activation: Option<Activation>,
     ) {
-        let mut sums = [isa.splat(0.0); VECTORS];
+        let mut sums = [Lanes::<LANES>::splat(isa, 0.0); VECTORS];
         for v in 0..VECTORS {
             sums[v] = isa.load(&bias[v]);
         }
         let (columns, _) = self.by_columns.as_chunks::<VECTORS>();
         for (weights, &x) in columns.iter().zip(&x[..self.inputs]) {
-            let x = isa.splat(x);
+            let x = Lanes::<LANES>::splat(isa, x);
             for v in 0..VECTORS {
-                sums[v] = isa.fma(isa.load(&weights[v]), x, sums[v]);
+                sums[v] = Lanes::<LANES>::fma(isa, isa.load(&weights[v]), x, sums[v]);
             }
         }
         for v in 0..VECTORS {
-            store_activated(isa, sums[v], activation, &mut y[v]);
+            let sum = match activation {
+                Some(activation) => activation.activate::<I, LANES>(isa, sums[v]),
+                None => sums[v],
+            };
+            isa.store(sum, &mut y[v]);
         }
     }
 }
 
+/// `ROWS` rows of a block of weights from row `first` on: their sums, activated, are pushed to `y`.
 #[inline(always)]
-fn store_activated<I: Isa>(isa: I, sum: I::Vector, activation: Option<Activation>, to: &mut Lane) {
-    isa.store(sum, to);
-    if let Some(activation) = activation {
-        for lane in 0..LANES {
-            to[lane] = activation.value(to[lane]);
+fn forward_rows<I: Lanes<L>, const L: usize, const ROWS: usize>(
+    isa: I,
+    weights: &[[f32; ROW_BLOCK]],
+    first: usize,
+    bias: &[f32],
+    x: &[[f32; L]],
+    y: &mut Rows<L>,
+    activation: Option<Activation>,
+) {
+    let mut sums = [isa.splat(0.0); ROWS];
+    for r in 0..ROWS {
+        sums[r] = isa.splat(bias[first + r]);
+    }
+    for (weights, x) in weights.iter().zip(x) {
+        let x = isa.load(x);
+        for r in 0..ROWS {
+            sums[r] = isa.fma(isa.splat(weights[first + r]), x, sums[r]);
         }
+    }
+    for r in 0..ROWS {
+        let sum = match activation {
+            Some(activation) => activation.activate(isa, sums[r]),
+            None => sums[r],
+        };
+        y.push(isa, sum);
+    }
+}
+
+/// Up to [`MAX_WIDTH`] values of `L` samples each, on the stack: what a layer yields.
+#[repr(align(64))]
+pub struct Rows<const L: usize> {
+    values: [MaybeUninit<[f32; L]>; MAX_WIDTH],
+    len: usize,
+}
+
+impl<const L: usize> Default for Rows<L> {
+    #[inline(always)]
+    fn default() -> Self {
+        Rows { values: [const { MaybeUninit::uninit() }; MAX_WIDTH], len: 0 }
+    }
+}
+
+impl<const L: usize> Rows<L> {
+    #[inline(always)]
+    fn clear(&mut self) {
+        self.len = 0;
+    }
+
+    #[inline(always)]
+    fn push<I: Lanes<L>>(&mut self, isa: I, row: I::Vector) {
+        let mut values = [0.0; L];
+        isa.store(row, &mut values);
+        self.values[self.len].write(values);
+        self.len += 1;
+    }
+}
+
+impl<const L: usize> std::ops::Deref for Rows<L> {
+    type Target = [[f32; L]];
+
+    #[inline(always)]
+    fn deref(&self) -> &[[f32; L]] {
+        // SAFETY: the first `len` rows have been written.
+        unsafe { std::slice::from_raw_parts(self.values.as_ptr().cast(), self.len) }
     }
 }
 
@@ -271,10 +356,16 @@ impl Network {
                 layers[0].inputs()
             ));
         }
+        let (last, hidden) = (layers.len() - 1, activation.units());
         let packed = layers
             .iter()
             .enumerate()
-            .map(|(i, layer)| PackedLayer::new(layer, 0, if i == 0 { features } else { layer.inputs() }))
+            .map(|(i, layer)| {
+                let inputs = if i == 0 { features } else { layer.inputs() };
+                let from = if i == 0 { Units::PLAIN } else { hidden };
+                let to = if i == last { Units::PLAIN } else { hidden };
+                PackedLayer::new(layer, inputs, from, to)
+            })
             .collect();
         Ok(Network { layers, activation, features, packed })
     }
@@ -319,42 +410,59 @@ impl Network {
             .sum()
     }
 
-    /// The first layer's bias with the latent code's part added, in the order of the kernels.
+    /// The first layer's bias with the latent code's part added.
+    ///
+    /// # Panics
+    /// If `latent` is shorter than [`Network::latent`].
+    #[must_use]
+    pub fn folded_bias(&self, latent: &[f32]) -> Vec<f64> {
+        let first = &self.layers[0];
+        first
+            .weight
+            .chunks_exact(first.inputs())
+            .zip(&first.bias)
+            .map(|(row, &bias)| {
+                let weights = &row[self.features..];
+                let part =
+                    (0..weights.len()).map(|i| f64::from(weights[i]) * f64::from(latent[i])).sum::<f64>();
+                f64::from(bias) + part
+            })
+            .collect()
+    }
+
+    /// [`Network::folded_bias`] as the kernels take it.
     ///
     /// # Panics
     /// If `latent` is shorter than [`Network::latent`].
     #[must_use]
     pub fn fold(&self, latent: &[f32]) -> Vec<Lane> {
-        let first = &self.layers[0];
-        let mut bias = self.packed[0].bias.clone();
-        for (row, weights) in first.weight.chunks_exact(first.inputs()).enumerate() {
-            let weights = &weights[self.features..];
-            let part: f64 = weights.iter().zip(latent).map(|(&w, &z)| f64::from(w) * f64::from(z)).sum();
-            let bias = &mut bias[row / LANES][row % LANES];
-            *bias = (f64::from(*bias) + part) as f32;
+        let units = if self.layers.len() == 1 { Units::PLAIN } else { self.activation.units() };
+        let mut bias = vec![[0.0; LANES]; self.packed[0].bias.len()];
+        for (bias, folded) in bias.as_flattened_mut().iter_mut().zip(self.folded_bias(latent)) {
+            *bias = (units.scale * folded + units.shift) as f32;
         }
         bias
     }
 
-    /// Evaluates [`LANES`] samples: `x[feature][lane]` to `y[output][lane]`, `first_bias` from
-    /// [`Network::fold`]. `y` beyond [`Network::outputs`] is overwritten too.
+    /// Evaluates `L` samples side by side: `x[feature][lane]` to `y[output][lane]`, `first_bias` from
+    /// [`Network::fold`]. `y` may have a few rows more than [`Network::outputs`].
     #[inline(always)]
-    pub fn forward_tile<I: Isa>(&self, isa: I, first_bias: &[Lane], x: &[Lane], y: &mut [Lane; MAX_WIDTH]) {
+    pub fn forward_tile<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        first_bias: &[Lane],
+        x: &[[f32; L]],
+        y: &mut Rows<L>,
+    ) {
+        let mut hidden = Rows::default();
         let last = self.packed.len() - 1;
-        let mut hidden = [[[0.0; LANES]; MAX_WIDTH]; 2];
-        let [mut from, mut to] = {
-            let [a, b] = &mut hidden;
-            [a, b]
-        };
+        // Layers alternate between the two buffers so that the last one yields to `y`.
+        let [mut from, mut to] = if last.is_multiple_of(2) { [&mut hidden, y] } else { [y, &mut hidden] };
         for (i, layer) in self.packed.iter().enumerate() {
             let bias = if i == 0 { first_bias } else { &layer.bias };
             let x = if i == 0 { x } else { &from[..] };
-            if i == last {
-                layer.forward_tile(isa, bias, x, y, None);
-            } else {
-                layer.forward_tile(isa, bias, x, to, Some(self.activation));
-                std::mem::swap(&mut from, &mut to);
-            }
+            layer.forward_tile(isa, bias, x, to, (i < last).then_some(self.activation));
+            std::mem::swap(&mut from, &mut to);
         }
     }
 
@@ -439,7 +547,7 @@ pub(crate) mod tests {
     }
 
     crate::dispatch! {
-        fn forward_tile(isa, n: &Network, bias: &[Lane], x: &[Lane], y: &mut [Lane; MAX_WIDTH]) {
+        fn forward_tile(isa, n: &Network, bias: &[Lane], x: &[Lane], y: &mut Rows<LANES>) {
             n.forward_tile(isa, bias, x, y);
         }
     }
@@ -471,7 +579,7 @@ pub(crate) mod tests {
                         *x = ((i * 7 + lane * 3) % 11) as f32 / 5.0 - 1.0;
                     }
                 }
-                let mut tile = [[0.0; LANES]; MAX_WIDTH];
+                let mut tile = Rows::default();
                 forward_tile(&network, &bias, &x, &mut tile);
                 for lane in 0..LANES {
                     let one: Vec<f32> = x[..features].iter().map(|x| x[lane]).collect();

@@ -12,14 +12,13 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 
-use crate::brdf::{Brdf, is_lit, mask_unlit};
-use crate::dispatch;
 use crate::hybrid::check_bound;
+use crate::kernel::Kernel;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
-use crate::network::{Layer, MAX_WIDTH, Network};
-use crate::simd::{LANES, Lane, Lane3};
+use crate::network::{Layer, MAX_WIDTH, Network, Rows};
+use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Learned frames.
 pub const FRAMES: usize = 3;
@@ -172,52 +171,44 @@ fn fold_frames(shared: &Shared, latent: &[f32]) -> Result<Network, String> {
         }
         weight.extend(folded.iter().flat_map(|v| v.to_array()));
     }
-    let bias = shared.network.fold(latent).as_flattened()[..first.outputs()].to_vec();
+    let bias = shared.network.folded_bias(latent).into_iter().map(|b| b as f32).collect();
     let mut layers = vec![Layer { weight, bias }];
     layers.extend_from_slice(&shared.network.layers()[1..]);
     Network::new(layers, 6, shared.network.activation())
 }
 
-impl Brdf for Neural {
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        let mut f = Vec3::ZERO;
-        if is_lit(light, view) {
-            eval_one(self, light, view, &mut f);
+impl Kernel for Neural {
+    #[inline(always)]
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let mut x = [[0.0; L]; 6];
+        for c in 0..3 {
+            light[c].store(&mut x[c]);
+            view[c].store(&mut x[3 + c]);
         }
-        f
+        let mut y = Rows::default();
+        self.network.forward_tile(isa, &self.first_bias, &x, &mut y);
+        let f = Vector::load3(isa, &[y[0], y[1], y[2]]);
+        [bounded_exp(f[0], self.bound), bounded_exp(f[1], self.bound), bounded_exp(f[2], self.bound)]
     }
 
-    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        eval_tile(self, light, view, out);
-        mask_unlit(light, view, out);
-    }
-}
-
-dispatch! {
-    fn eval_one(isa, material: &Neural, light: Vec3, view: Vec3, f: &mut Vec3) {
+    #[inline(always)]
+    fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
         let mut y = [0.0; MAX_WIDTH];
         let x = [light.x, light.y, light.z, view.x, view.y, view.z];
-        material.network.forward_one(isa, &material.first_bias, &x, &mut y);
-        *f = Vec3::from_array([0, 1, 2].map(|c| bounded_exp(y[c], material.bound)));
-    }
-}
-
-dispatch! {
-    fn eval_tile(isa, material: &Neural, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        let x = [light[0], light[1], light[2], view[0], view[1], view[2]];
-        let mut y = [[0.0; LANES]; MAX_WIDTH];
-        material.network.forward_tile(isa, &material.first_bias, &x, &mut y);
-        for (out, y) in out.iter_mut().zip(&y) {
-            for lane in 0..LANES {
-                out[lane] = bounded_exp(y[lane], material.bound);
-            }
-        }
+        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        let f = bounded_exp(Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0]), self.bound).to_array();
+        Vec3::new(f[0], f[1], f[2])
     }
 }
 
 #[inline(always)]
-fn bounded_exp(y: f32, bound: f32) -> f32 {
-    exp(if bound < y { bound } else { y })
+fn bounded_exp<F: Real>(y: F, bound: f32) -> F {
+    exp(y.at_most(bound))
 }
 
 /// The same model in float64, with the frames applied to the directions. What tests compare against.
@@ -255,6 +246,7 @@ pub mod reference {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Brdf;
     use crate::network::{Activation, tests::patterned};
 
     fn material() -> Neural {

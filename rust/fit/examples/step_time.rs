@@ -11,11 +11,10 @@ use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use glimt_core::dispatch;
 use glimt_core::ggx::Ggx;
 use glimt_core::library::Origin;
 use glimt_core::microfacet::Microfacet;
-use glimt_core::simd::{LANES, isa_name};
+use glimt_core::simd::{isa_name, multiply_adds};
 use glimt_fit::train::Schedule;
 use glimt_fit::{HybridOptions, Input, Model, Net, Options, Truth, fit};
 
@@ -23,24 +22,6 @@ const MATERIALS: usize = 12;
 const PAIRS: usize = 1024;
 const STEPS: u64 = 300;
 const ROUNDS: usize = 9;
-
-dispatch! {
-    /// `count` multiply-adds, in as many accumulators as a matrix kernel has.
-    fn multiply_adds(isa, count: usize, out: &mut f32) {
-        let (a, b) = (isa.splat(black_box(0.999)), isa.splat(black_box(1e-3)));
-        let mut sums = [isa.splat(black_box(1.0)); 8];
-        for _ in 0..count / (LANES * sums.len()) {
-            for sum in &mut sums {
-                *sum = isa.fma(*sum, a, b);
-            }
-        }
-        for sum in sums {
-            let mut lanes = [0.0; LANES];
-            isa.store(sum, &mut lanes);
-            *out += lanes.iter().sum::<f32>();
-        }
-    }
-}
 
 fn main() {
     let materials: Vec<Ggx> = (1..=MATERIALS)

@@ -3,7 +3,7 @@
 //! k_d, η and α have ranges; the optimiser works on numbers that have none. A logistic curve maps
 //! them, so that α, whose scale spans orders of magnitude, moves by ratios where it is small.
 
-use glimt_core::microfacet::{ETA_RANGE, Geometry, MIN_ALPHA, Microfacet};
+use glimt_core::microfacet::{ETA_RANGE, Half, MIN_ALPHA, Microfacet};
 use std::f32::consts::FRAC_1_PI;
 
 /// Numbers of the analytic BRDF: k_d (3), η (3), α (1 or 2), in this order.
@@ -94,8 +94,8 @@ impl Derivatives {
     #[inline(always)]
     #[must_use]
     pub fn new(p: &Microfacet, light: [f32; 3], view: [f32; 3]) -> Self {
-        let Geometry { ndf, light_masking, view_masking, cos_d } = p.geometry(light, view);
-        let shape = ndf / (light_masking * view_masking);
+        let half = Half::new(light, view);
+        let (shape, cos_d) = (p.shape(&half, light, view), half.cos_d());
         let mut value = [0.0; 3];
         let mut eta = [0.0; 3];
         let mut specular = [0.0; 3];
@@ -122,7 +122,7 @@ impl Derivatives {
     }
 }
 
-/// ∂/∂α of ln D − ln(masking of light) − ln(masking of view), see [`Microfacet::geometry`].
+/// ∂/∂α of ln D − ln(masking of light) − ln(masking of view), see [`Microfacet::shape`].
 #[inline(always)]
 fn log_alpha_slopes(alpha: [f32; 2], light: [f32; 3], view: [f32; 3]) -> [f32; 2] {
     let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];

@@ -6,7 +6,7 @@
 
 use glimt_core::dispatch;
 use glimt_core::network::{Activation, Layer};
-use glimt_core::simd::{Isa, LANES, Lane};
+use glimt_core::simd::{LANES, Lane, Lanes};
 
 /// Columns of lanes in a block.
 pub const COLUMNS: usize = 16;
@@ -221,7 +221,7 @@ dispatch! {
 
 /// y = Mᵀ x + bias for a block, with M as [x.len()][y.len()].
 #[inline(always)]
-fn product<I: Isa>(isa: I, matrix: &[f32], bias: Option<&[f32]>, x: &[Row], y: &mut [Row]) {
+fn product<I: Lanes<LANES>>(isa: I, matrix: &[f32], bias: Option<&[f32]>, x: &[Row], y: &mut [Row]) {
     let mut row = 0;
     while row < y.len() {
         // Eight rows at a time where the registers hold them, and the rest in smaller steps.
@@ -235,7 +235,7 @@ fn product<I: Isa>(isa: I, matrix: &[f32], bias: Option<&[f32]>, x: &[Row], y: &
 }
 
 #[inline(always)]
-fn product_rows<I: Isa, const ROWS: usize>(
+fn product_rows<I: Lanes<LANES>, const ROWS: usize>(
     isa: I,
     matrix: &[f32],
     bias: Option<&[f32]>,
@@ -266,7 +266,7 @@ fn product_rows<I: Isa, const ROWS: usize>(
 
 /// `gradient[o][i]` += Σ over the block of `delta[o]` · `x[i]`.
 #[inline(always)]
-fn outer_product<I: Isa>(isa: I, delta: &[Row], x: &[Row], gradient: &mut [f32]) {
+fn outer_product<I: Lanes<LANES>>(isa: I, delta: &[Row], x: &[Row], gradient: &mut [f32]) {
     let inputs = x.len();
     let mut o = 0;
     while o < delta.len() {
@@ -286,7 +286,7 @@ fn outer_product<I: Isa>(isa: I, delta: &[Row], x: &[Row], gradient: &mut [f32])
 }
 
 #[inline(always)]
-fn dot_products<I: Isa, const O: usize, const N: usize>(
+fn dot_products<I: Lanes<LANES>, const O: usize, const N: usize>(
     isa: I,
     delta: &[Row],
     x: &[Row],

@@ -1,11 +1,11 @@
 //! The hybrid model as an objective: one network, and p and z for every material (paper, eq. 4).
 
 use glimt_core::dispatch;
-use glimt_core::features::{Inputs, MAX_FEATURES};
+use glimt_core::features::Inputs;
 use glimt_core::hybrid::{Composition, Form};
 use glimt_core::math::exp;
-use glimt_core::microfacet::Microfacet;
-use glimt_core::simd::LANES;
+use glimt_core::microfacet::{Half, Microfacet};
+use glimt_core::simd::{LANES, Vector};
 use serde::{Deserialize, Serialize};
 
 use crate::analytic;
@@ -209,13 +209,20 @@ impl HybridObjective {
 const MAX_RESIDUAL: f32 = 16.0;
 
 dispatch! {
-    fn fill_features(_isa, form: Form, alpha: [f32; 2], pairs: &PairBlock, analytic: &[Row; 3], inputs: &mut [Row]) {
-        let mut x = [[0.0; LANES]; MAX_FEATURES + 3];
+    fn fill_features(isa, form: Form, alpha: [f32; 2], pairs: &PairBlock, analytic: &[Row; 3], inputs: &mut [Row]) {
         for column in 0..COLUMNS {
-            let (light, view) = (lanes(&pairs.light, column), lanes(&pairs.view, column));
-            form.features_lanes(alpha, &light, &view, &lanes(analytic, column), &mut x);
-            for (row, x) in inputs.iter_mut().zip(&x[..form.features()]) {
-                row[column] = *x;
+            let light = Vector::load3(isa, &lanes(&pairs.light, column));
+            let view = Vector::load3(isa, &lanes(&pairs.view, column));
+            let x = form.inputs.compute(light, view, alpha);
+            let count = form.inputs.count();
+            for i in 0..count {
+                x[i].store(&mut inputs[i][column]);
+            }
+            if form.analytic_input {
+                for c in 0..3 {
+                    let f = Vector::<I, LANES>::load(isa, &analytic[c][column]);
+                    Form::analytic_feature(f).store(&mut inputs[count + c][column]);
+                }
             }
         }
     }
@@ -293,7 +300,7 @@ fn lobe_sums(parameters: &Microfacet, pairs: &PairBlock, delta: &Row) -> [f64; 2
         for (lane, &delta) in delta.iter().enumerate() {
             let light = direction(&pairs.light, column, lane);
             let view = direction(&pairs.view, column, lane);
-            let slopes = Inputs::lobe_derivative(light, view, parameters.alpha);
+            let slopes = Inputs::lobe_derivative(&Half::new(light, view), parameters.alpha);
             sums[0] += f64::from(delta * slopes[0]);
             sums[1] += f64::from(delta * slopes[1]);
         }

@@ -1,0 +1,161 @@
+//! From a model's formulas for pairs side by side to every way in which pairs come: one, a packet of the
+//! caller's width, a tile, a batch of any length.
+
+use glam::Vec3;
+
+use crate::brdf::{Brdf, check_lengths, is_lit, lit};
+use crate::dispatch;
+use crate::simd::{Isa, Lane3, Lanes, Real, Vector};
+
+/// A model as kernels evaluate it. Whatever implements this is a [`Brdf`].
+pub trait Kernel: Send + Sync {
+    /// f of pairs above the horizon side by side. What other pairs get is not looked at.
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3];
+
+    /// f of one pair above the horizon, as fast as one can be.
+    #[inline(always)]
+    fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
+        let f = self.eval_lanes::<I, 4>(isa, splat3(isa, light), splat3(isa, view));
+        Vec3::new(f[0].first(), f[1].first(), f[2].first())
+    }
+}
+
+/// One vector in every lane.
+#[inline(always)]
+pub(crate) fn splat3<I: Lanes<L>, const L: usize>(isa: I, v: Vec3) -> [Vector<I, L>; 3] {
+    [Vector::new(isa, v.x), Vector::new(isa, v.y), Vector::new(isa, v.z)]
+}
+
+impl<K: Kernel> Brdf for K {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        let mut f = Vec3::ZERO;
+        if is_lit(light, view) {
+            one(self, light, view, &mut f);
+        }
+        f
+    }
+
+    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        tile(self, light, view, out);
+    }
+
+    fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        check_lengths(&light, &view, &out);
+        packet(self, light, view, out);
+    }
+
+    fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
+        assert!(light.len() == out.len() && view.len() == out.len(), "as many lights as views and results");
+        batch(self, light, view, out);
+    }
+}
+
+dispatch! {
+    fn one[K: Kernel](isa, model: &K, light: Vec3, view: Vec3, f: &mut Vec3) {
+        *f = model.eval_one(isa, light, view);
+    }
+}
+
+dispatch! {
+    fn tile[K: Kernel](isa, model: &K, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        let f = eval_lit(isa, model, Vector::load3(isa, light), Vector::load3(isa, view));
+        for c in 0..3 {
+            f[c].store(&mut out[c]);
+        }
+    }
+}
+
+dispatch! {
+    fn packet[K: Kernel](isa, model: &K, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        match out[0].len() {
+            0..=4 => packets::<K, I, 4>(isa, model, light, view, out),
+            5..=8 => packets::<K, I, 8>(isa, model, light, view, out),
+            _ => packets::<K, I, 16>(isa, model, light, view, out),
+        }
+    }
+}
+
+dispatch! {
+    fn batch[K: Kernel](isa, model: &K, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
+        match I::BATCH {
+            32 => batches::<K, I, 32>(isa, model, light, view, out),
+            16 => batches::<K, I, 16>(isa, model, light, view, out),
+            _ => batches::<K, I, 8>(isa, model, light, view, out),
+        }
+    }
+}
+
+/// f of pairs side by side; 0 where a pair is not lit, and at no cost where none is.
+#[inline(always)]
+fn eval_lit<K: Kernel, I: Lanes<L>, const L: usize>(
+    isa: I,
+    model: &K,
+    light: [Vector<I, L>; 3],
+    view: [Vector<I, L>; 3],
+) -> [Vector<I, L>; 3] {
+    let zero = Vector::new(isa, 0.0);
+    let lit = lit(light, view);
+    if !Vector::any(isa, lit) {
+        return [zero; 3];
+    }
+    let f = model.eval_lanes(isa, light, view);
+    [f[0].or_else(lit, zero), f[1].or_else(lit, zero), f[2].or_else(lit, zero)]
+}
+
+/// `L` pairs at a time; those beyond the end are zeros, which are not lit.
+#[inline(always)]
+fn packets<K: Kernel, I: Lanes<L>, const L: usize>(
+    isa: I,
+    model: &K,
+    light: [&[f32]; 3],
+    view: [&[f32]; 3],
+    out: [&mut [f32]; 3],
+) {
+    let n = out[0].len();
+    let mut start = 0;
+    while start < n {
+        let end = n.min(start + L);
+        let mut sides = [[[0.0; L]; 3]; 2];
+        for c in 0..3 {
+            sides[0][c][..end - start].copy_from_slice(&light[c][start..end]);
+            sides[1][c][..end - start].copy_from_slice(&view[c][start..end]);
+        }
+        let f = eval_lit(isa, model, Vector::load3(isa, &sides[0]), Vector::load3(isa, &sides[1]));
+        for c in 0..3 {
+            out[c][start..end].copy_from_slice(&f[c].to_array()[..end - start]);
+        }
+        start = end;
+    }
+}
+
+/// `L` pairs at a time, from and to vectors of three.
+#[inline(always)]
+fn batches<K: Kernel, I: Lanes<L>, const L: usize>(
+    isa: I,
+    model: &K,
+    light: &[Vec3],
+    view: &[Vec3],
+    out: &mut [Vec3],
+) {
+    for ((light, view), out) in light.chunks(L).zip(view.chunks(L)).zip(out.chunks_mut(L)) {
+        // Lanes beyond the end stay 0, which is not lit.
+        let mut sides = [[[0.0; L]; 3]; 2];
+        for lane in 0..out.len() {
+            for (side, v) in [light[lane], view[lane]].into_iter().enumerate() {
+                sides[side][0][lane] = v.x;
+                sides[side][1][lane] = v.y;
+                sides[side][2][lane] = v.z;
+            }
+        }
+        let f = eval_lit(isa, model, Vector::load3(isa, &sides[0]), Vector::load3(isa, &sides[1]));
+        let [red, green, blue] = [f[0].to_array(), f[1].to_array(), f[2].to_array()];
+        for (lane, out) in out.iter_mut().enumerate() {
+            *out = Vec3::new(red[lane], green[lane], blue[lane]);
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! From the operations of one register to vectors of any number of them.
+
+/// A vector register of floats. The methods' meanings are those of [`Lanes`](super::Lanes).
+///
+/// # Safety
+/// The methods may only be called where the machine has the register's instruction set; `load` and `store`
+/// touch as many floats as the register has.
+pub trait Register: Copy {
+    type Mask: Copy;
+    const LANES: usize;
+
+    unsafe fn splat(x: f32) -> Self;
+    unsafe fn load(from: *const f32) -> Self;
+    unsafe fn store(self, to: *mut f32);
+    unsafe fn add(self, b: Self) -> Self;
+    unsafe fn sub(self, b: Self) -> Self;
+    unsafe fn mul(self, b: Self) -> Self;
+    unsafe fn div(self, b: Self) -> Self;
+    unsafe fn fma(self, b: Self, c: Self) -> Self;
+    unsafe fn sqrt(self) -> Self;
+    unsafe fn min(self, b: Self) -> Self;
+    unsafe fn max(self, b: Self) -> Self;
+    unsafe fn positive(self) -> Self;
+    unsafe fn min_positive(self, b: Self) -> Self;
+    unsafe fn less(self, b: Self) -> Self::Mask;
+    unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    unsafe fn any(mask: Self::Mask) -> bool;
+    unsafe fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
+    unsafe fn power_of_two(self) -> Self;
+    unsafe fn exponent_and_mantissa(self) -> (Self, Self);
+}
+
+/// Implements [`Lanes`](super::Lanes) of an instruction set for one number of lanes, as an array of registers.
+macro_rules! lanes {
+    ($isa:ty: $lanes:literal in $count:literal x $register:ty, $rows:literal rows) => {
+        impl $crate::simd::Lanes<$lanes> for $isa {
+            const ROWS: usize = $rows;
+            type Vector = [$register; $count];
+            type Mask = [<$register as Register>::Mask; $count];
+
+            #[inline(always)]
+            fn splat(self, x: f32) -> Self::Vector {
+                // SAFETY: `self` is the proof of the instruction set.
+                unsafe { [<$register>::splat(x); $count] }
+            }
+
+            #[inline(always)]
+            fn load(self, x: &[f32; $lanes]) -> Self::Vector {
+                const { assert!($lanes == $count * <$register as Register>::LANES) };
+                // SAFETY: `self` is the proof of the instruction set; the registers have the floats of `x`.
+                unsafe {
+                    let mut y = [<$register>::splat(0.0); $count];
+                    for i in 0..$count {
+                        y[i] = <$register>::load(x.as_ptr().add(i * <$register as Register>::LANES));
+                    }
+                    y
+                }
+            }
+
+            #[inline(always)]
+            fn store(self, x: Self::Vector, to: &mut [f32; $lanes]) {
+                const { assert!($lanes == $count * <$register as Register>::LANES) };
+                for i in 0..$count {
+                    // SAFETY: `self` is the proof of the instruction set; the registers have the floats of `to`.
+                    unsafe { x[i].store(to.as_mut_ptr().add(i * <$register as Register>::LANES)) };
+                }
+            }
+
+            lanes!(@map $count; add(a, b) sub(a, b) mul(a, b) div(a, b) fma(a, b, c) sqrt(a) min(a, b) max(a, b)
+                positive(a) min_positive(a, b) power_of_two(a));
+
+            #[inline(always)]
+            fn less(self, a: Self::Vector, b: Self::Vector) -> Self::Mask {
+                // SAFETY: `self` is the proof of the instruction set.
+                unsafe {
+                    let mut mask = [a[0].less(b[0]); $count];
+                    for (i, mask) in mask.iter_mut().enumerate() {
+                        *mask = a[i].less(b[i]);
+                    }
+                    mask
+                }
+            }
+
+            #[inline(always)]
+            fn both(self, mut a: Self::Mask, b: Self::Mask) -> Self::Mask {
+                for i in 0..$count {
+                    // SAFETY: `self` is the proof of the instruction set.
+                    a[i] = unsafe { <$register as Register>::both(a[i], b[i]) };
+                }
+                a
+            }
+
+            #[inline(always)]
+            fn any(self, mask: Self::Mask) -> bool {
+                let mut any = false;
+                for i in 0..$count {
+                    // SAFETY: `self` is the proof of the instruction set.
+                    any |= unsafe { <$register as Register>::any(mask[i]) };
+                }
+                any
+            }
+
+            #[inline(always)]
+            fn select(self, mask: Self::Mask, mut a: Self::Vector, b: Self::Vector) -> Self::Vector {
+                for i in 0..$count {
+                    // SAFETY: `self` is the proof of the instruction set.
+                    a[i] = unsafe { <$register as Register>::select(mask[i], a[i], b[i]) };
+                }
+                a
+            }
+
+            #[inline(always)]
+            fn exponent_and_mantissa(self, x: Self::Vector) -> (Self::Vector, Self::Vector) {
+                let (mut n, mut m) = (x, x);
+                for i in 0..$count {
+                    // SAFETY: `self` is the proof of the instruction set.
+                    (n[i], m[i]) = unsafe { x[i].exponent_and_mantissa() };
+                }
+                (n, m)
+            }
+        }
+    };
+    (@map $count:literal; $($name:ident($first:ident $(, $other:ident)*))*) => {
+        $(
+            #[inline(always)]
+            fn $name(self, mut $first: Self::Vector $(, $other: Self::Vector)*) -> Self::Vector {
+                for i in 0..$count {
+                    // SAFETY: `self` is the proof of the instruction set.
+                    $first[i] = unsafe { Register::$name($first[i] $(, $other[i])*) };
+                }
+                $first
+            }
+        )*
+    };
+}
+pub(super) use lanes;

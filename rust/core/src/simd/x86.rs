@@ -1,0 +1,235 @@
+//! AVX2 with FMA, and AVX-512.
+
+use std::arch::x86_64::*;
+
+use super::register::{Register, lanes};
+use super::{Isa, SQRT_HALF_BITS};
+
+/// AVX2 with FMA.
+#[derive(Clone, Copy)]
+pub struct Avx2(());
+
+impl Avx2 {
+    /// # Safety
+    /// The machine must have AVX2 and FMA.
+    #[must_use]
+    pub unsafe fn new_unchecked() -> Self {
+        Avx2(())
+    }
+}
+
+impl Isa for Avx2 {
+    const BATCH: usize = 16;
+}
+
+lanes!(Avx2: 4 in 1 x __m128, 8 rows);
+lanes!(Avx2: 8 in 1 x __m256, 8 rows);
+lanes!(Avx2: 16 in 2 x __m256, 4 rows);
+lanes!(Avx2: 32 in 4 x __m256, 2 rows);
+
+/// AVX-512 (foundation), with AVX2 and FMA.
+#[derive(Clone, Copy)]
+pub struct Avx512(());
+
+impl Avx512 {
+    /// # Safety
+    /// The machine must have AVX-512F, AVX2 and FMA.
+    #[must_use]
+    pub unsafe fn new_unchecked() -> Self {
+        Avx512(())
+    }
+}
+
+impl Isa for Avx512 {
+    const BATCH: usize = 32;
+}
+
+lanes!(Avx512: 4 in 1 x __m128, 8 rows);
+lanes!(Avx512: 8 in 1 x __m256, 8 rows);
+lanes!(Avx512: 16 in 1 x __m512, 8 rows);
+lanes!(Avx512: 32 in 2 x __m512, 8 rows);
+
+/// The operations that the intrinsics of all three widths spell alike.
+macro_rules! alike {
+    ($splat:ident $load:ident $store:ident $add:ident $sub:ident $mul:ident $div:ident $fma:ident $sqrt:ident
+     $min:ident $max:ident $to_bits:ident $from_bits:ident $int_max:ident $int_min:ident $int_add:ident
+     $int_sub:ident $int_zero:ident $int_splat:ident $left:ident $right:ident $to_int:ident $to_float:ident) => {
+        // SAFETY (of every block): the caller's promise that the machine has the instruction set, and for
+        // `load` and `store` that the floats are there; they ask for no alignment.
+        #[inline(always)]
+        unsafe fn splat(x: f32) -> Self {
+            unsafe { $splat(x) }
+        }
+
+        #[inline(always)]
+        unsafe fn load(from: *const f32) -> Self {
+            unsafe { $load(from) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(self, to: *mut f32) {
+            unsafe { $store(to, self) }
+        }
+
+        #[inline(always)]
+        unsafe fn add(self, b: Self) -> Self {
+            unsafe { $add(self, b) }
+        }
+
+        #[inline(always)]
+        unsafe fn sub(self, b: Self) -> Self {
+            unsafe { $sub(self, b) }
+        }
+
+        #[inline(always)]
+        unsafe fn mul(self, b: Self) -> Self {
+            unsafe { $mul(self, b) }
+        }
+
+        #[inline(always)]
+        unsafe fn div(self, b: Self) -> Self {
+            unsafe { $div(self, b) }
+        }
+
+        #[inline(always)]
+        unsafe fn fma(self, b: Self, c: Self) -> Self {
+            unsafe { $fma(self, b, c) }
+        }
+
+        #[inline(always)]
+        unsafe fn sqrt(self) -> Self {
+            unsafe { $sqrt(self) }
+        }
+
+        #[inline(always)]
+        unsafe fn min(self, b: Self) -> Self {
+            unsafe { $min(self, b) }
+        }
+
+        #[inline(always)]
+        unsafe fn max(self, b: Self) -> Self {
+            unsafe { $max(self, b) }
+        }
+
+        // Floats that are not negative are in the order of their bits, and negative ones are negative
+        // integers.
+        #[inline(always)]
+        unsafe fn positive(self) -> Self {
+            unsafe { $from_bits($int_max($to_bits(self), $int_zero())) }
+        }
+
+        #[inline(always)]
+        unsafe fn min_positive(self, b: Self) -> Self {
+            unsafe { $from_bits($int_min($to_bits(self), $to_bits(b))) }
+        }
+
+        #[inline(always)]
+        unsafe fn power_of_two(self) -> Self {
+            unsafe { $from_bits($left::<23>($int_add($to_int(self), $int_splat(127)))) }
+        }
+
+        #[inline(always)]
+        unsafe fn exponent_and_mantissa(self) -> (Self, Self) {
+            unsafe {
+                let bits = $to_bits(self);
+                let exponent = $right::<23>($int_sub(bits, $int_splat(SQRT_HALF_BITS)));
+                ($to_float(exponent), $from_bits($int_sub(bits, $left::<23>(exponent))))
+            }
+        }
+    };
+}
+
+#[allow(clippy::undocumented_unsafe_blocks)]
+impl Register for __m128 {
+    type Mask = __m128;
+    const LANES: usize = 4;
+
+    alike!(_mm_set1_ps _mm_loadu_ps _mm_storeu_ps _mm_add_ps _mm_sub_ps _mm_mul_ps _mm_div_ps _mm_fmadd_ps
+        _mm_sqrt_ps _mm_min_ps _mm_max_ps _mm_castps_si128 _mm_castsi128_ps _mm_max_epi32 _mm_min_epi32
+        _mm_add_epi32 _mm_sub_epi32 _mm_setzero_si128 _mm_set1_epi32 _mm_slli_epi32 _mm_srai_epi32
+        _mm_cvtps_epi32 _mm_cvtepi32_ps);
+
+    #[inline(always)]
+    unsafe fn less(self, b: Self) -> __m128 {
+        unsafe { _mm_cmplt_ps(self, b) }
+    }
+
+    #[inline(always)]
+    unsafe fn both(a: __m128, b: __m128) -> __m128 {
+        unsafe { _mm_and_ps(a, b) }
+    }
+
+    #[inline(always)]
+    unsafe fn any(mask: __m128) -> bool {
+        unsafe { _mm_movemask_ps(mask) != 0 }
+    }
+
+    #[inline(always)]
+    unsafe fn select(mask: __m128, a: Self, b: Self) -> Self {
+        unsafe { _mm_blendv_ps(b, a, mask) }
+    }
+}
+
+#[allow(clippy::undocumented_unsafe_blocks)]
+impl Register for __m256 {
+    type Mask = __m256;
+    const LANES: usize = 8;
+
+    alike!(_mm256_set1_ps _mm256_loadu_ps _mm256_storeu_ps _mm256_add_ps _mm256_sub_ps _mm256_mul_ps
+        _mm256_div_ps _mm256_fmadd_ps _mm256_sqrt_ps _mm256_min_ps _mm256_max_ps _mm256_castps_si256
+        _mm256_castsi256_ps _mm256_max_epi32 _mm256_min_epi32 _mm256_add_epi32 _mm256_sub_epi32
+        _mm256_setzero_si256 _mm256_set1_epi32 _mm256_slli_epi32 _mm256_srai_epi32 _mm256_cvtps_epi32
+        _mm256_cvtepi32_ps);
+
+    #[inline(always)]
+    unsafe fn less(self, b: Self) -> __m256 {
+        unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self, b) }
+    }
+
+    #[inline(always)]
+    unsafe fn both(a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_and_ps(a, b) }
+    }
+
+    #[inline(always)]
+    unsafe fn any(mask: __m256) -> bool {
+        unsafe { _mm256_movemask_ps(mask) != 0 }
+    }
+
+    #[inline(always)]
+    unsafe fn select(mask: __m256, a: Self, b: Self) -> Self {
+        unsafe { _mm256_blendv_ps(b, a, mask) }
+    }
+}
+
+#[allow(clippy::undocumented_unsafe_blocks)]
+impl Register for __m512 {
+    type Mask = __mmask16;
+    const LANES: usize = 16;
+
+    alike!(_mm512_set1_ps _mm512_loadu_ps _mm512_storeu_ps _mm512_add_ps _mm512_sub_ps _mm512_mul_ps
+        _mm512_div_ps _mm512_fmadd_ps _mm512_sqrt_ps _mm512_min_ps _mm512_max_ps _mm512_castps_si512
+        _mm512_castsi512_ps _mm512_max_epi32 _mm512_min_epi32 _mm512_add_epi32 _mm512_sub_epi32
+        _mm512_setzero_si512 _mm512_set1_epi32 _mm512_slli_epi32 _mm512_srai_epi32 _mm512_cvtps_epi32
+        _mm512_cvtepi32_ps);
+
+    #[inline(always)]
+    unsafe fn less(self, b: Self) -> __mmask16 {
+        unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self, b) }
+    }
+
+    #[inline(always)]
+    unsafe fn both(a: __mmask16, b: __mmask16) -> __mmask16 {
+        a & b
+    }
+
+    #[inline(always)]
+    unsafe fn any(mask: __mmask16) -> bool {
+        mask != 0
+    }
+
+    #[inline(always)]
+    unsafe fn select(mask: __mmask16, a: Self, b: Self) -> Self {
+        unsafe { _mm512_mask_blend_ps(mask, b, a) }
+    }
+}
