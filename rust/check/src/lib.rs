@@ -1,1 +1,30 @@
 //! Does a BSDF do what it says? Conformance tests for any BSDF, and a named catalogue of extreme inputs.
+//!
+//! Reading order: [`subject`] is what can be checked; [`run`] puts one through all tests; [`look`] is one view
+//! of it, whose samples and [`cells`] several tests share. The tests are one file per family: [`horizon`],
+//! [`consistency`], [`sampling`], [`energy`], [`components`], [`symmetry`]; [`audit`] sees every answer.
+//! [`verdict`] says what findings mean, [`report`] and [`page`] show them.
+
+pub mod audit;
+pub mod cells;
+pub mod components;
+pub mod consistency;
+pub mod energy;
+pub mod horizon;
+pub mod look;
+pub mod page;
+pub mod picture;
+pub mod report;
+pub mod run;
+pub mod sampling;
+pub mod statistics;
+pub mod subject;
+pub mod svg;
+pub mod symmetry;
+pub mod verdict;
+pub mod views;
+
+pub use report::Report;
+pub use run::{Checked, Options, check};
+pub use subject::{Answer, BrdfSubject, Claims, Component, Draw, Part, Subject, Unanswered};
+pub use verdict::{Test, Verdict};

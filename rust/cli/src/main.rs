@@ -3,6 +3,7 @@
 //! Exit code 0: done; 1: failed, with one line on the standard error stream; 2: bad usage.
 
 mod add;
+mod check;
 mod compare;
 mod convert;
 mod eval;
@@ -43,6 +44,7 @@ enum Command {
     Sample(sample::Arguments),
     Convert(convert::Arguments),
     Compare(compare::Arguments),
+    Check(check::Arguments),
 }
 
 /// Arguments that fit the syntax but make no sense together.
@@ -82,6 +84,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Sample(arguments) => sample::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Check(arguments) => check::run(&arguments),
     }
 }
 

@@ -239,3 +239,27 @@ fn scattered_samples_are_described_and_fitted_to() {
     assert!(smape.parse::<f64>().unwrap() < 0.01, "{json}");
     assert!(!json.contains("swapped"), "{json}");
 }
+
+#[test]
+fn check_passes_correct_materials_and_writes_table_json_and_page() {
+    let folder = Folder::new();
+    let quick = ["--samples", "5000"];
+    let text = folder.succeeds(&[&["check", "lib.safetensors", "--html", "page.html"], &quick[..]].concat());
+    for name in ["orange: pass", "mint: pass", "grey: pass", "chi-squared", "unbiased"] {
+        assert!(text.contains(name), "{name} in {text}");
+    }
+    let page = std::fs::read_to_string(folder.path("page.html")).unwrap();
+    assert!(page.starts_with("<!doctype html>") && page.contains("orange") && page.contains("<svg"));
+    assert!(!page.contains("http"), "nothing is loaded from elsewhere");
+    let command = ["check", "lib.safetensors", "--material", "mint", "--json"];
+    let report: serde_json::Value =
+        serde_json::from_str(&folder.succeeds(&[&command[..], &quick].concat())).unwrap();
+    assert_eq!(report["verdict"], "pass");
+    let subjects = report["subjects"].as_array().unwrap();
+    assert!(
+        subjects.len() == 1 && subjects[0]["name"] == "mint" && subjects[0]["claims"]["reciprocal"] == true
+    );
+    let p =
+        subjects[0]["findings"].as_array().unwrap().iter().filter(|finding| finding["p"].is_f64()).count();
+    assert_eq!(report["p_values"], p);
+}

@@ -41,6 +41,11 @@ impl Directions {
         if self.rows.len() == 1 { self.rows[0] } else { self.rows[index] }
     }
 
+    /// All rows.
+    pub fn into_rows(self) -> Vec<Vec3> {
+        self.rows
+    }
+
     /// `count` rows from `first` on.
     pub fn range(&self, first: usize, count: usize) -> std::borrow::Cow<'_, [Vec3]> {
         if self.rows.len() == 1 {

@@ -3,6 +3,7 @@
 //! What users see is described in `plugin/glimt/_native.pyi`.
 
 mod arrays;
+mod check;
 mod library;
 mod material;
 mod parallel;
@@ -28,5 +29,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add("Error", module.py().get_type::<Error>())?;
     module.add_class::<library::Library>()?;
     module.add_class::<material::Material>()?;
+    module.add_class::<check::CheckReport>()?;
+    module.add_function(wrap_pyfunction!(check::check, module)?)?;
     module.add_function(wrap_pyfunction!(library::load, module)?)
 }

@@ -1,0 +1,95 @@
+//! `glimt check`: does a material do what it says?
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use glimt_check::{BrdfSubject, Claims, Options, Report};
+use glimt_core::Library;
+use glimt_files::Source;
+
+use crate::{inputs, output};
+
+/// Test materials: sampling, weights, energy, symmetry, the horizon
+///
+/// Every material goes through the same tests: samples against the density by χ², weights against f·cosθ/pdf,
+/// the mean weight against an integral that no sampler has touched, and more; docs/check.md explains each.
+/// Exit code 1 if one fails. Warnings (an albedo above 1 among them) do not.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Model libraries, measurements or NBRDF weights; directories and globs of them
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// Name of one material; all if not given
+    #[arg(long, value_name = "NAME")]
+    material: Option<String>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Write a page with the pictures behind every verdict
+    #[arg(long, value_name = "PAGE.html")]
+    html: Option<PathBuf>,
+    /// Samples for each view
+    #[arg(long, default_value_t = Options::FULL.samples as u32, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..=10_000_000))]
+    samples: u32,
+    /// Seed of the random numbers
+    #[arg(long, default_value_t = Options::FULL.seed, value_name = "SEED")]
+    seed: u64,
+}
+
+/// Runs the command.
+pub fn run(arguments: &Arguments) -> Result<()> {
+    if let Some(page) = &arguments.html {
+        output::check_writable(page)?;
+    }
+    let options = Options { samples: arguments.samples as usize, seed: arguments.seed, ..Options::FULL };
+    let sources = inputs::open(&arguments.files)?;
+    let mut subjects = Vec::new();
+    for source in &sources {
+        subjects.extend(subjects_of(source, arguments.material.as_deref())?);
+    }
+    let bar = output::progress_bar(subjects.len(), "check");
+    let check = |subject| glimt_check::check(subject, &options);
+    let checked = bar.wrap_iter(subjects.iter()).map(|subject| check(subject)).collect::<Result<_, _>>();
+    // A material of a file always answers; the error is for subjects that live elsewhere.
+    let report = Report::new(checked.map_err(anyhow::Error::from_boxed)?);
+    output::print(&if arguments.json { report.json() + "\n" } else { report.text() })?;
+    if let Some(page) = &arguments.html {
+        write_page(page, &report)?;
+    }
+    if !report.passed() {
+        bail!("{} of {} failed: {}", report.failed().len(), subjects.len(), report.failed().join(", "));
+    }
+    Ok(())
+}
+
+fn write_page(path: &Path, report: &Report) -> Result<()> {
+    std::fs::write(path, glimt_check::page::html(report))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// The materials of a file, or the one of that name.
+fn subjects_of<'a>(source: &'a Source, name: Option<&str>) -> Result<Vec<BrdfSubject<'a>>> {
+    match source {
+        Source::Library(library) => materials_of(library, name),
+        Source::Table { table, .. } => {
+            let brdf = source.brdf(name)?;
+            let claims = Claims { isotropic: table.measured().is_isotropic(), ..Claims::NONE };
+            Ok(vec![BrdfSubject { name: table.measured().name().to_owned(), claims, brdf }])
+        }
+        // There is nothing between scattered samples that could be tested: say so as `eval` does.
+        Source::Samples { .. } => Err(source.brdf(name).err().expect("samples are no BRDF").into()),
+    }
+}
+
+fn materials_of<'a>(library: &'a Library, name: Option<&str>) -> Result<Vec<BrdfSubject<'a>>> {
+    let entries = match name {
+        Some(name) => std::slice::from_ref(library.entry(Some(name))?),
+        None => library.entries(),
+    };
+    let subject = |entry: &'a glimt_core::library::Entry| BrdfSubject {
+        name: entry.name.clone(),
+        claims: Claims::of(&entry.material),
+        brdf: &entry.material,
+    };
+    Ok(entries.iter().map(subject).collect())
+}
