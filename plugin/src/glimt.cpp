@@ -10,6 +10,7 @@
 #include "kernel_call.h"
 #include "lobes.h"
 #include "primaries.h"
+#include "sampler_call.h"
 #include "traced.h"
 
 // Without -march=haswell everything compiles, loads and computes garbage: the layout of structs differs.
@@ -28,13 +29,21 @@ Compact fit of a measured material (:monosp:`glimt`)
 
  * - filename
    - |string|
-   - Model library (``.safetensors``), as ``glimt fit`` writes it. Found by Mitsuba's file resolver:
-     beside the scene file or in a directory of a ``<path>`` element.
+   - Model library (``.safetensors``), as ``glimt fit`` writes it, or a measurement as it is: RGL
+     ``.bsdf``, MERL ``.binary``, UTIA ``.bin``. Found by Mitsuba's file resolver: beside the scene file or
+     in a directory of a ``<path>`` element.
 
  * - material
    - |string|
    - Name of the material in the library; ``glimt info FILE`` lists them. Not needed where the library
      has only one.
+
+ * - sampler
+   - |string|
+   - How directions are sampled: ``lobes`` (a cosine lobe and a GGX lobe), ``table`` (tables of the
+     reflectance, made when the scene is loaded; ``table:32x64x32`` or ``table:paper`` for another
+     resolution). (Default: ``lobes`` for models, ``table`` for MERL and UTIA files, and the file's own
+     warps for RGL files)
 
  * - kd
    - |rgb| or |float|
@@ -77,7 +86,8 @@ Polarized variants depolarize.
 and by a call from inside the compiled kernel in LLVM variants. Where a direction or a parameter has
 gradients enabled, and in CUDA variants, Dr.Jit traces the whole model instead, which takes seconds to
 compile where there is a network. Samples and their densities carry no derivative with respect to
-the parameters (detached sampling).
+the parameters (detached sampling). A measurement has no traced form: it and the samplers ``table`` and of
+RGL files run in scalar and LLVM variants only, and carry no derivative with respect to directions either.
 
 .. tabs::
     .. code-tab:: xml
@@ -109,7 +119,8 @@ public:
         fs::path file = file_resolver()->resolve(props.get<std::string_view>("filename"));
         m_file = file.filename().string();
         rust::Box<Material> material = checked([&] {
-            return glimt::core::open(file.string(), std::string(props.get<std::string_view>("material", "")));
+            return glimt::core::open(file.string(), std::string(props.get<std::string_view>("material", "")),
+                                     std::string(props.get<std::string_view>("sampler", "")));
         });
         m_name = std::string(material->name());
         m_model = glimt::TracedModel<Float>(*material);
@@ -159,7 +170,7 @@ public:
                 weight = reflectance(ctx, si.wi, bs.wo, true) * (Frame3f::cos_theta(bs.wo) / s.pdf);
             return { bs, colour(weight, si, active) };
         } else {
-            auto [bs, lit] = sample_lobes(si.wi, sample1, sample2, active);
+            auto [bs, lit] = sample_direction(si.wi, sample1, sample2, active);
             Color3f f = reflectance(ctx, si.wi, bs.wo, lit);
             return { bs, colour(f * (Frame3f::cos_theta(bs.wo) / bs.pdf), si, lit) };
         }
@@ -189,10 +200,10 @@ public:
                 calls_from_kernel(si.wi, wo)) {
                 MI_MASKED_FUNCTION(ProfilerPhase::BSDFEvaluate, active);
                 Mask lit = active && is_lit(si.wi, wo);
-                auto [bs, chosen] = sample_lobes(si.wi, sample1, sample2, active);
+                auto [bs, chosen] = sample_direction(si.wi, sample1, sample2, active);
                 auto [f, f_chosen] = m_call.eval(wo, lit, bs.wo, chosen, si.wi);
                 return { colour(f * Frame3f::cos_theta(wo), si, lit),
-                         dr::select(lit, m_lobes.pdf(wo, si.wi), 0.f), bs,
+                         direction_pdf(si.wi, wo, lit), bs,
                          colour(f_chosen * (Frame3f::cos_theta(bs.wo) / bs.pdf), si, chosen) };
             }
         }
@@ -214,7 +225,8 @@ public:
         const char *way = calls_from_kernel()   ? "in-kernel call"
                           : dr::is_jit_v<Float> ? "traced"
                                                 : "direct call";
-        oss << "  evaluation = " << way << std::endl
+        oss << "  evaluation = " << way << "," << std::endl
+            << "  sampler = " << std::string(m_material->sampler()) << std::endl
             << "]";
         return oss.str();
     }
@@ -349,6 +361,7 @@ private:
 
     /// Makes everything that depends on the material agree with it.
     void bind() {
+        m_has_lobes = m_material->has_lobes();
         auto lobes = m_material->lobes();
         m_lobes.alpha = Vector2f(lobes.alpha[0], lobes.alpha[1]);
         m_lobes.specular_weight = lobes.specular_weight;
@@ -366,20 +379,52 @@ private:
             m_call.bind(m_material);
             m_call_works = kernel_call_works();
         }
+        require_call();
+    }
+
+    /// Without a traced form, evaluation and sampling need the call from inside a kernel.
+    void require_call() const {
+        const bool is_traced = m_material->has_traced_form() && m_has_lobes;
+        if (!dr::is_jit_v<Float> || is_traced)
+            return;
+        const char *what = m_material->has_traced_form() ? "has a sampler" : "is of a model";
+        if constexpr (HasKernelCall) {
+            if (!m_call_works || (!m_has_lobes && !sampler_call_works()))
+                Throw("glimt: \"%s\" of \"%s\" %s that is computed by a call from inside the compiled kernel, "
+                      "which is not available here (packets of %u lanes). Use a scalar variant.",
+                      m_name, m_file, what, jit_llvm_vector_width());
+        } else {
+            Throw("glimt: \"%s\" of \"%s\" %s that runs on the CPU only. Use a scalar or an llvm variant, or "
+                  "another model and <string name=\"sampler\" value=\"lobes\"/>.", m_name, m_file, what);
+        }
     }
 
     /// Checks the call from inside a kernel, the first time that it is asked.
     bool kernel_call_works() const {
+        static std::atomic<State> state { Unknown };
+        const bool was_known = state != Unknown;
+        const bool works = remembered(state, [&] { return m_call.works(); });
+        if (!was_known && !works && m_material->has_traced_form())
+            Log(Warn, "The call from inside a kernel is not available (packets of %u lanes); the model is "
+                      "traced instead, which is slower.", jit_llvm_vector_width());
+        return works;
+    }
+
+    /// The same for densities and samples.
+    bool sampler_call_works() const {
+        static std::atomic<State> state { Unknown };
+        return remembered(state, [&] { return m_sampler_call.works(m_call.address(), *m_material); });
+    }
+
+    enum State { Unknown, Works, Fails };
+
+    /// What \c check found the first time that it was made.
+    template <typename Check> static bool remembered(std::atomic<State> &state, const Check &check) {
         // No static initialiser, whose lock could be met again: Mitsuba loads scenes in parallel, and a
         // thread that waits for the kernel of the check goes on with the construction of other BSDFs.
-        enum State { Unknown, Works, Fails };
-        static std::atomic<State> state { Unknown };
         if (state == Unknown) {
-            const bool works = m_call.works();
             State expected = Unknown;
-            if (state.compare_exchange_strong(expected, works ? Works : Fails) && !works)
-                Log(Warn, "The call from inside a kernel is not available (packets of %u lanes); the "
-                          "model is traced instead, which is slower.", jit_llvm_vector_width());
+            state.compare_exchange_strong(expected, check() ? Works : Fails);
         }
         return state == Works;
     }
@@ -403,12 +448,22 @@ private:
             value = colour(reflectance(ctx, si.wi, wo, active) * cos_theta_o, si, active);
         }
         if constexpr (Pdf) {
-            if constexpr (dr::is_jit_v<Float>)
-                density = dr::select(active, m_lobes.pdf(wo, si.wi), 0.f);
-            else
-                density = m_material->pdf(array(wo), array(si.wi));
+            density = direction_pdf(si.wi, wo, active);
         }
         return { value, density };
+    }
+
+    /// The density with which \c wo is sampled for \c wi.
+    Float direction_pdf(const Vector3f &wi, const Vector3f &wo, const Mask &active) const {
+        if constexpr (!dr::is_jit_v<Float>) {
+            return m_material->pdf(array(wo), array(wi));
+        } else {
+            if constexpr (HasKernelCall) {
+                if (!m_has_lobes)
+                    return m_sampler_call.pdf(m_call.address(), wo, wi, active);
+            }
+            return dr::select(active, m_lobes.pdf(wo, wi), 0.f);
+        }
     }
 
     /// Can this pair carry energy: both above the horizon and, as in the core, of about unit length?
@@ -448,9 +503,15 @@ private:
         return bs;
     }
 
-    /// Traces the choice of a direction; also, where it did not fail.
-    std::pair<BSDFSample3f, Mask> sample_lobes(const Vector3f &wi, const Float &sample1, const Point2f &sample2,
-                                               const Mask &active) const {
+    /// The choice of a direction; also, where it did not fail.
+    std::pair<BSDFSample3f, Mask> sample_direction(const Vector3f &wi, const Float &sample1,
+                                                   const Point2f &sample2, const Mask &active) const {
+        if constexpr (HasKernelCall) {
+            if (!m_has_lobes) {
+                auto [wo, pdf] = m_sampler_call.sample(m_call.address(), wi, sample1, sample2, active);
+                return { reflected(wo, pdf), pdf > 0.f };
+            }
+        }
         Vector3f wo = m_lobes.sample(wi, sample1, sample2);
         Mask lit = active && is_lit(wi, wo);
         Float pdf = dr::select(lit, m_lobes.pdf(wo, wi), 0.f);
@@ -481,9 +542,10 @@ private:
     /// Is the network, where there is one, in the core? The analytic model alone is less work than a call.
     bool calls_from_kernel() const { return HasKernelCall && m_call_works && m_model.has_network(); }
 
-    /// … for these directions, too? A call has no derivative.
+    /// … for these directions, too? A call has no derivative; a model without a traced form is detached.
     bool calls_from_kernel(const Vector3f &wi, const Vector3f &wo) const {
-        return calls_from_kernel() && !dr::grad_enabled(wi, wo, m_kd, m_eta, m_alpha, m_latent);
+        return calls_from_kernel() && (!m_material->has_traced_form() ||
+                                       !dr::grad_enabled(wi, wo, m_kd, m_eta, m_alpha, m_latent));
     }
 
     std::string m_file, m_name;
@@ -491,7 +553,8 @@ private:
     glimt::TracedModel<Float> m_model;
     glimt::TracedLobes<Float> m_lobes;
     std::conditional_t<HasKernelCall, glimt::KernelCall<Float>, Nothing> m_call;
-    bool m_call_works = false;
+    std::conditional_t<HasKernelCall, glimt::SamplerCall<Float>, Nothing> m_sampler_call;
+    bool m_call_works = false, m_has_lobes = true;
     std::conditional_t<is_spectral_v<Spectrum>, glimt::Primaries<Float>, Nothing> m_primaries;
 
     Color3f m_kd, m_eta;
@@ -499,7 +562,7 @@ private:
     bool m_isotropic = true;
     FloatStorage m_latent;
 
-    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes, m_call, m_primaries)
+    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes, m_call, m_sampler_call, m_primaries)
 };
 
 MI_EXPORT_PLUGIN(Glimt)

@@ -16,6 +16,47 @@ namespace glimt {
 
 namespace dr = drjit;
 
+/// What a call from inside a kernel brings back, in the fields of a ray's hit.
+template <typename Value> struct PacketHit {
+    Value t, u, v;
+    /// Integers for Embree, here the bits of floats.
+    Value primitive, geometry, instance;
+};
+
+/**
+ * \brief Calls the function whose pointer the variable \c pointer holds, for the active lanes
+ *
+ * The one place that knows the order of Dr.Jit's arguments. \c extra takes the fields near end, time and
+ * far end of the ray. Lanes that are not active bring back whatever was in the packet.
+ */
+template <typename Value>
+PacketHit<Value> call_packet(const dr::uint64_array_t<Value> &pointer, const dr::uint64_array_t<Value> &address,
+                             const mitsuba::Vector<Value, 3> &origin,
+                             const mitsuba::Vector<Value, 3> &direction,
+                             const mitsuba::Vector<Value, 3> &extra, const dr::uint32_array_t<Value> &mask,
+                             const dr::mask_t<Value> &active) {
+    using UInt32 = dr::uint32_array_t<Value>;
+    using UInt64 = dr::uint64_array_t<Value>;
+    auto function = UInt64::steal(jit_var_pointer(JitBackend::LLVM, pointer.data(), pointer.index(), 0));
+    UInt32 address_low(address), address_high(address >> 32);
+    dr::mask_t<Value> coherent = false;
+    uint32_t in[14] = { coherent.index(),      active.index(),                                // Flags
+                        origin.x().index(),    origin.y().index(),    origin.z().index(),     // Origin
+                        extra.x().index(),                                                    // Near end
+                        direction.x().index(), direction.y().index(), direction.z().index(),  // Direction
+                        extra.y().index(),     extra.z().index(),                             // Time, far end
+                        mask.index(),                                                         // Mask
+                        address_low.index(),   address_high.index() };                        // Id, flags
+    // Out: valid, t, u, v, primitive, geometry, instance, hit on an instance?
+    uint32_t out[8];
+    jit_llvm_ray_trace(function.index(), /* scene = */ function.index(), /* shadow_ray = */ 0, in, out);
+    for (uint32_t i : { 0, 7 })
+        jit_var_dec_ref(out[i]);
+    auto bits = [](uint32_t index) { return dr::reinterpret_array<Value>(UInt32::steal(index)); };
+    return { Value::steal(out[1]), Value::steal(out[2]), Value::steal(out[3]),
+             bits(out[4]),         bits(out[5]),         bits(out[6]) };
+}
+
 /**
  * \brief Evaluates a Rust material from inside the kernels that Dr.Jit compiles for the CPU
  *
@@ -62,6 +103,9 @@ public:
             },
             owner);
     }
+
+    /// The material's address, for other calls about it.
+    const UInt64 &address() const { return m_address; }
 
     /// f_r(light, view); 0 in the lanes that are not active.
     Color3f eval(const Vector3f &light, const Vector3f &view, const dr::mask_t<Float> &active) const {
@@ -120,35 +164,16 @@ private:
     std::pair<Color3f, Color3f> call(const Vector3f &light_1, const dr::mask_t<Float> &active_1,
                                      const Vector3f &light_2, const dr::mask_t<Float> &active_2,
                                      const Vector3f &view) const {
-        auto function = UInt64::steal(
-            jit_var_pointer(JitBackend::LLVM, m_function.data(), m_function.index(), 0));
-        UInt32 address_low(m_address), address_high(m_address >> 32);
-        auto l_1 = dr::detach<false>(light_1), l_2 = dr::detach<false>(light_2),
-             v = dr::detach<false>(view);
         Bool lit_1 = dr::detach<false>(active_1), lit_2 = dr::detach<false>(active_2);
-        Bool active = lit_1 | lit_2, coherent = false;
         UInt32 wanted = dr::select(lit_1, UInt32(First), 0u) | dr::select(lit_2, UInt32(Second), 0u);
-
-        uint32_t in[14] = { coherent.index(), active.index(),                         // Flags
-                            l_1.x().index(),  l_1.y().index(), l_1.z().index(),       // Origin
-                            l_2.x().index(),                                          // Near end
-                            v.x().index(),    v.y().index(),   v.z().index(),         // Direction
-                            l_2.y().index(),  l_2.z().index(),                        // Time, far end
-                            wanted.index(),                                           // Mask
-                            address_low.index(), address_high.index() };              // Id, flags
-        // Out: valid, t, u, v, primitive, geometry, instance, hit on an instance?
-        uint32_t out[8];
-        jit_llvm_ray_trace(function.index(), /* scene = */ function.index(), /* shadow_ray = */ 0, in, out);
-        for (uint32_t i : { 0, 7 })
-            jit_var_dec_ref(out[i]);
-        auto bits = [](uint32_t index) { return dr::reinterpret_array<Value>(UInt32::steal(index)); };
+        auto hit = call_packet<Value>(m_function, m_address, dr::detach<false>(light_1), dr::detach<false>(view),
+                                      dr::detach<false>(light_2), wanted, lit_1 | lit_2);
         // Lanes that were not called hold whatever was in the packet.
         auto f = [](const Bool &lit, const Value &red, const Value &green, const Value &blue) {
             return Color3f(Float(dr::select(lit, red, 0.f)), Float(dr::select(lit, green, 0.f)),
                            Float(dr::select(lit, blue, 0.f)));
         };
-        Value t = Value::steal(out[1]), u = Value::steal(out[2]), w = Value::steal(out[3]);
-        return { f(lit_1, u, w, bits(out[4])), f(lit_2, t, bits(out[5]), bits(out[6])) };
+        return { f(lit_1, hit.u, hit.v, hit.primitive), f(lit_2, hit.t, hit.geometry, hit.instance) };
     }
 
     /// What is asked for in a lane, see rust/ffi/src/packet.rs.

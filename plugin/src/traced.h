@@ -45,8 +45,7 @@ public:
             case core::Kind::Hybrid: f = hybrid(l, v, microfacet, latent, active); break;
             case core::Kind::Neural: f = neural(l, v, latent, active); break;
             case core::Kind::Nbrdf: f = nbrdf(l, v); break;
-            default: Throw("glimt: a model of tables has no derivatives and is not traced; render it in a "
-                           "scalar or LLVM variant without gradients.");
+            default: break; // has no traced form, see Material::has_traced_form()
         }
         return f & active;
     }

@@ -164,7 +164,8 @@ const char *glimt_version(void);
 const char *glimt_last_error(void);
 
 /**
- * Reads a model library.
+ * Reads a model library (.safetensors), a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or the
+ * weights of a neural BRDF (.h5, .npz). The last two are libraries of one material.
  *
  * \param path     File name, UTF-8.
  * \param library  Receives the library, to be closed with glimt_library_close(); NULL on error.

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use glimt_check::{BrdfSubject, Claims, Options, Report};
-use glimt_core::Library;
 use glimt_files::Source;
 
 use crate::{inputs, output};
@@ -69,19 +68,8 @@ fn write_page(path: &Path, report: &Report) -> Result<()> {
 
 /// The materials of a file, or the one of that name.
 fn subjects_of<'a>(source: &'a Source, name: Option<&str>) -> Result<Vec<BrdfSubject<'a>>> {
-    match source {
-        Source::Library(library) => materials_of(library, name),
-        Source::Table { table, .. } => {
-            let brdf = source.brdf(name)?;
-            let claims = Claims { isotropic: table.measured().is_isotropic(), ..Claims::NONE };
-            Ok(vec![BrdfSubject { name: table.measured().name().to_owned(), claims, brdf }])
-        }
-        // There is nothing between scattered samples that could be tested: say so as `eval` does.
-        Source::Samples { .. } => Err(source.brdf(name).err().expect("samples are no BRDF").into()),
-    }
-}
-
-fn materials_of<'a>(library: &'a Library, name: Option<&str>) -> Result<Vec<BrdfSubject<'a>>> {
+    // There is nothing between scattered samples that could be tested, and that is the error.
+    let library = source.library()?;
     let entries = match name {
         Some(name) => std::slice::from_ref(library.entry(Some(name))?),
         None => library.entries(),

@@ -108,12 +108,7 @@ fn materials<'a>(sources: &'a [Source], only: Option<&str>) -> Result<Vec<(Strin
 fn write_library(path: &Path, sources: Vec<Source>, only: Option<&str>) -> Result<()> {
     let mut entries: Vec<Entry> = Vec::new();
     for source in &sources {
-        let Source::Library(library) = source else {
-            bail!(
-                "{} is a measurement, which a model library cannot hold; fit a model to it with glimt fit",
-                source.path().display()
-            );
-        };
+        let library = source.library()?;
         match only {
             Some(name) => entries.push(library.entry(Some(name))?.clone()),
             None => entries.extend_from_slice(library.entries()),

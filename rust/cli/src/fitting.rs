@@ -43,7 +43,6 @@ pub fn inputs<'a>(sources: &'a [Source], command: &str, samples_isotropic: bool)
                     let material = library.material(Some(&name))?;
                     (Truth::Brdf(material), material.is_isotropic())
                 }
-                Source::Table { table, .. } => (Truth::Brdf(&**table), table.measured().is_isotropic()),
                 Source::Samples { samples: Samples { light, view, f, .. }, .. } => {
                     (Truth::Samples { light, view, f }, samples_isotropic)
                 }

@@ -7,8 +7,10 @@ use anyhow::{Context, Result};
 use glimt_core::hybrid::Form;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::network::{Activation, Network};
-use glimt_core::{Library, Material, Vec3};
-use glimt_files::{Samples, Source, Table};
+use glimt_core::sampler::Sampler;
+use glimt_core::tabulated::Tabulated;
+use glimt_core::{Library, Material, Model, Vec3};
+use glimt_files::{Samples, Source};
 use serde::Serialize;
 
 use crate::{inputs, output};
@@ -66,6 +68,7 @@ enum Content {
         isotropic: bool,
         /// Negative values in the file, which f takes as 0.
         clamped: usize,
+        sampler: SamplerInfo,
     },
     Samples {
         material: String,
@@ -82,6 +85,13 @@ enum Content {
         /// Largest f.
         largest: [f32; 3],
     },
+}
+
+#[derive(Serialize)]
+struct SamplerInfo {
+    name: &'static str,
+    /// Of its tables; 0 for what needs none of its own.
+    bytes: usize,
 }
 
 #[derive(Serialize)]
@@ -113,8 +123,10 @@ impl Info {
         let file = source.path().to_owned();
         let metadata = std::fs::metadata(&file).with_context(|| format!("cannot read {}", file.display()))?;
         let content = match source {
-            Source::Library(library) => library_content(library),
-            Source::Table { table, .. } => table_content(table),
+            Source::Library(library) => match &library.entries()[0] {
+                Entry { name, material: Material::Tabulated(table), .. } => table_content(name, table),
+                _ => library_content(library),
+            },
             Source::Samples { samples, .. } => samples_content(source.names().remove(0), samples),
         };
         Ok(Info { file, bytes: metadata.len(), kind: source.kind(), content })
@@ -125,7 +137,7 @@ impl Info {
         let mut text = String::new();
         let head = format!("{}: {}", self.file.display(), self.kind);
         match &self.content {
-            Content::Measured { material, description, isotropic, clamped } => {
+            Content::Measured { material, description, isotropic, clamped, sampler } => {
                 line(&mut text, &format!("{head} measurement, {} bytes", thousands(self.bytes)));
                 line(&mut text, &format!("  material     {material}"));
                 if !description.is_empty() {
@@ -134,6 +146,7 @@ impl Info {
                 let symmetry = if *isotropic { "isotropic" } else { "anisotropic" };
                 line(&mut text, &format!("  symmetry     {symmetry}"));
                 line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
+                line(&mut text, &format!("  sampler      {}", sampler.text()));
             }
             Content::Samples { material, samples, clamped, grazing, largest_theta, mean, largest } => {
                 let samples = thousands(*samples as u64);
@@ -178,7 +191,7 @@ fn library_content(library: &Library) -> Content {
     Content::Library {
         form: match first {
             Material::Hybrid(hybrid) => Some(hybrid.form()),
-            Material::Ggx(_) | Material::Neural(_) | Material::Nbrdf(_) | Material::Factor(_) => None,
+            _ => None,
         },
         network: first.network().map(NetworkInfo::new),
         bytes_per_material,
@@ -187,13 +200,14 @@ fn library_content(library: &Library) -> Content {
     }
 }
 
-fn table_content(table: &Table) -> Content {
-    let measured = table.measured();
+fn table_content(name: &str, material: &Tabulated) -> Content {
+    let table = material.table();
     Content::Measured {
-        material: measured.name().to_owned(),
-        description: measured.description().to_owned(),
-        isotropic: measured.is_isotropic(),
-        clamped: measured.clamped(),
+        material: name.to_owned(),
+        description: table.description().to_owned(),
+        isotropic: table.is_isotropic(),
+        clamped: table.clamped(),
+        sampler: SamplerInfo::new(material.sampler()),
     }
 }
 
@@ -265,6 +279,20 @@ impl MaterialInfo {
             write!(text, "  from {}", self.origin.source).expect("a string takes all");
         }
         text
+    }
+}
+
+impl SamplerInfo {
+    fn new(sampler: &Sampler) -> SamplerInfo {
+        let bytes = if let Sampler::Table(table) = sampler { table.bytes() } else { 0 };
+        SamplerInfo { name: sampler.name(), bytes }
+    }
+
+    fn text(&self) -> String {
+        match self.bytes {
+            0 => self.name.to_owned(),
+            bytes => format!("{} of {} bytes", self.name, thousands(bytes as u64)),
+        }
     }
 }
 

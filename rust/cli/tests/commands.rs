@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Folder, ggx, shared};
-use glimt_core::{Brdf, Library, Vec3};
+use glimt_core::{Brdf, Library, SampleBrdf, Vec3};
 use glimt_files::{Array, Source};
 
 #[test]

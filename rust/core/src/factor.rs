@@ -20,6 +20,7 @@ use crate::dispatch;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::angle;
 use crate::model::Model;
+use crate::sampler::Sampler;
 use crate::simd::{LANES, Lane3};
 use crate::smith;
 
@@ -161,7 +162,7 @@ pub struct Factor {
     factors: Arc<Factors>,
     interpolation: Interpolation,
     tables: Arc<Tables>,
-    lobes: Lobes,
+    sampler: Sampler,
 }
 
 impl Factor {
@@ -173,8 +174,8 @@ impl Factor {
         factors.validate()?;
         let tables = Arc::new(Tables::new(&factors));
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut factor = Factor { factors: Arc::new(factors), interpolation, tables, lobes };
-        factor.lobes = Lobes::fit(&factor, &PROXY_ALPHAS);
+        let mut factor = Factor { factors: Arc::new(factors), interpolation, tables, sampler: lobes.into() };
+        factor.sampler = Lobes::fit(&factor, &PROXY_ALPHAS).into();
         Ok(factor)
     }
 
@@ -201,8 +202,12 @@ impl Model for Factor {
     const KIND: &'static str = "factor";
 
     /// A proxy that was fitted to the tables.
-    fn lobes(&self) -> Lobes {
-        self.lobes
+    fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    fn set_sampler(&mut self, sampler: Sampler) {
+        self.sampler = sampler;
     }
 
     fn is_isotropic(&self) -> bool {

@@ -4,13 +4,14 @@ use crate::kernel::Kernel;
 use crate::lobes::Lobes;
 use crate::microfacet::Microfacet;
 use crate::model::Model;
+use crate::sampler::Sampler;
 use crate::simd::{Lanes, Vector};
 
 /// A material that is [`Microfacet`] and nothing else. Reciprocal.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Ggx {
     microfacet: Microfacet,
-    lobes: Lobes,
+    sampler: Sampler,
 }
 
 impl Ggx {
@@ -20,8 +21,9 @@ impl Ggx {
     /// See [`Microfacet::validate`].
     pub fn new(microfacet: Microfacet) -> Result<Self, String> {
         microfacet.validate()?;
-        let mut ggx = Ggx { microfacet, lobes: Lobes { alpha: microfacet.alpha, specular_weight: 0.5 } };
-        ggx.lobes = Lobes::fit(&ggx, &[microfacet.alpha]);
+        let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
+        let mut ggx = Ggx { microfacet, sampler: lobes.into() };
+        ggx.sampler = Lobes::fit(&ggx, &[microfacet.alpha]).into();
         Ok(ggx)
     }
 
@@ -35,8 +37,12 @@ impl Ggx {
 impl Model for Ggx {
     const KIND: &'static str = "ggx";
 
-    fn lobes(&self) -> Lobes {
-        self.lobes
+    fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    fn set_sampler(&mut self, sampler: Sampler) {
+        self.sampler = sampler;
     }
 
     fn is_isotropic(&self) -> bool {

@@ -21,6 +21,7 @@ use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
 use crate::model::Model;
 use crate::network::{MAX_WIDTH, Network, Rows};
+use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// How the network's outputs and f_a make f.
@@ -152,7 +153,7 @@ pub struct Hybrid {
     bound: f32,
     /// The latent code folded into the network's first bias.
     first_bias: Vec<Lane>,
-    lobes: Lobes,
+    sampler: Sampler,
 }
 
 impl Hybrid {
@@ -190,8 +191,10 @@ impl Hybrid {
         check_bound(bound)?;
         let first_bias = network.fold(&latent);
         let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
-        let mut hybrid = Hybrid { form, network, microfacet, latent, bound, first_bias, lobes };
-        hybrid.lobes = Lobes::fit(&hybrid, &LOBE_FACTORS.map(|factor| microfacet.scaled_alpha(factor)));
+        let mut hybrid =
+            Hybrid { form, network, microfacet, latent, bound, first_bias, sampler: lobes.into() };
+        hybrid.sampler =
+            Lobes::fit(&hybrid, &LOBE_FACTORS.map(|factor| microfacet.scaled_alpha(factor))).into();
         Ok(hybrid)
     }
 
@@ -229,8 +232,12 @@ impl Hybrid {
 impl Model for Hybrid {
     const KIND: &'static str = "hybrid";
 
-    fn lobes(&self) -> Lobes {
-        self.lobes
+    fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    fn set_sampler(&mut self, sampler: Sampler) {
+        self.sampler = sampler;
     }
 
     fn is_isotropic(&self) -> bool {

@@ -16,8 +16,11 @@ pub mod model;
 pub mod nbrdf;
 pub mod network;
 pub mod neural;
+pub mod sampler;
 pub mod simd;
 pub mod smith;
+pub mod table_sampler;
+pub mod tabulated;
 
 pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
 pub use error::Error;

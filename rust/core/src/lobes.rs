@@ -5,7 +5,7 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
 
-use crate::brdf::{Brdf, Sample, is_lit};
+use crate::brdf::{Brdf, is_lit};
 use crate::microfacet::{Half, masking_denominator};
 
 /// A cosine lobe and a GGX lobe, mixed.
@@ -60,15 +60,6 @@ impl Lobes {
             sample_cosine(u.y, u.z)
         };
         is_lit(light, view).then_some(light)
-    }
-
-    /// Samples `brdf` with these lobes.
-    #[must_use]
-    pub fn sample(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
-        let Some(light) = self.sample_direction(view, u) else { return Sample::FAILED };
-        let pdf = self.pdf_lit(light, view);
-        let weight = brdf.eval(light, view) * (light.z / pdf);
-        Sample { light, pdf, weight }
     }
 
     /// The lobes that sample `brdf` with least variance, among the roughnesses `alphas` and a grid of
@@ -155,7 +146,7 @@ fn probe_view(brdf: &impl Brdf, cos_view: f32, alphas: &[[f32; 2]]) -> Vec<Probe
 }
 
 /// Cosine-distributed direction, by the polar map.
-fn sample_cosine(u1: f32, u2: f32) -> Vec3 {
+pub(crate) fn sample_cosine(u1: f32, u2: f32) -> Vec3 {
     let (r, phi) = (u1.sqrt(), TAU * u2);
     Vec3::new(r * phi.cos(), r * phi.sin(), (1.0 - u1).max(0.0).sqrt())
 }
@@ -184,7 +175,9 @@ fn visible_normal_pdf(alpha: [f32; 2], light: Vec3, view: Vec3) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::brdf::Sample;
     use crate::microfacet::Microfacet;
+    use crate::sampler::Sampler;
 
     struct Lambert;
 
@@ -287,7 +280,7 @@ mod tests {
                 (i as f32 * 0.671).fract(),
                 (i as f32 * 0.5497).fract(),
             );
-            let sample = lobes.sample(&brdf, view(0.6), u);
+            let sample = Sampler::from(lobes).sample(&brdf, view(0.6), u);
             if sample.pdf > 0.0 {
                 let expected =
                     brdf.eval(sample.light, view(0.6)) * sample.light.z / lobes.pdf(sample.light, view(0.6));
@@ -316,7 +309,10 @@ mod tests {
         assert_eq!(lobes.pdf(down, Vec3::Z), 0.0);
         assert_eq!(lobes.pdf(Vec3::Z, down), 0.0);
         assert_eq!(lobes.pdf(Vec3::new(f32::NAN, 0.0, 1.0), Vec3::Z), 0.0);
-        assert_eq!(lobes.sample(&Lambert, down, Vec3::splat(0.5)), Sample::FAILED);
-        assert_eq!(lobes.sample(&Lambert, Vec3::splat(f32::NAN), Vec3::splat(0.5)), Sample::FAILED);
+        assert_eq!(Sampler::from(lobes).sample(&Lambert, down, Vec3::splat(0.5)), Sample::FAILED);
+        assert_eq!(
+            Sampler::from(lobes).sample(&Lambert, Vec3::splat(f32::NAN), Vec3::splat(0.5)),
+            Sample::FAILED
+        );
     }
 }

@@ -2,19 +2,24 @@
 //!
 //! A model is listed here in three places: the enum, `with_model!`, and `variants!`.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, SampleBrdf};
 use crate::factor::Factor;
 use crate::ggx::Ggx;
 use crate::hybrid::Hybrid;
-use crate::lobes::Lobes;
+use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::microfacet::Microfacet;
 use crate::model::Model;
 use crate::nbrdf::Nbrdf;
 use crate::network::Network;
 use crate::neural::Neural;
+use crate::sampler::{Sampler, SamplerChoice};
 use crate::simd::Lane3;
+use crate::table_sampler::TableSampler;
+use crate::tabulated::Tabulated;
 
 /// A material of any model.
 #[derive(Clone, Debug)]
@@ -29,6 +34,8 @@ pub enum Material {
     Nbrdf(Nbrdf),
     /// See [`crate::factor`].
     Factor(Factor),
+    /// See [`crate::tabulated`].
+    Tabulated(Tabulated),
 }
 
 /// `$body` with `$model` bound to the [`Model`] that `$material` holds.
@@ -40,6 +47,7 @@ macro_rules! with_model {
             Material::Neural($model) => $body,
             Material::Nbrdf($model) => $body,
             Material::Factor($model) => $body,
+            Material::Tabulated($model) => $body,
         }
     };
 }
@@ -63,7 +71,7 @@ macro_rules! variants {
         }
     )+};
 }
-variants!(Ggx, Hybrid, Neural, Nbrdf, Factor);
+variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated);
 
 impl Material {
     /// See [`Model::KIND`].
@@ -93,10 +101,33 @@ impl Material {
         with_model!(self, model => Model::network(model))
     }
 
-    /// See [`Model::lobes`].
+    /// See [`Model::sampler`].
     #[must_use]
-    pub fn lobes(&self) -> Lobes {
-        with_model!(self, model => model.lobes())
+    pub fn sampler(&self) -> &Sampler {
+        with_model!(self, model => model.sampler())
+    }
+
+    /// The same material with another sampler, made for it here.
+    #[must_use]
+    pub fn with_sampler(&self, choice: SamplerChoice) -> Material {
+        let sampler = match (choice, self.sampler()) {
+            (SamplerChoice::Lobes, Sampler::Lobes(_)) => return self.clone(),
+            (SamplerChoice::Lobes, _) => Lobes::fit(self, &PROXY_ALPHAS).into(),
+            (SamplerChoice::Table(resolution), _) => {
+                Sampler::Table(Arc::new(TableSampler::new(self, self.is_isotropic(), resolution)))
+            }
+        };
+        let mut material = self.clone();
+        with_model!(&mut material, model => model.set_sampler(sampler));
+        material
+    }
+
+    /// An edited copy of this material, with a sampler of the same kind.
+    fn sampled_alike(&self, edited: Material) -> Material {
+        match self.sampler() {
+            Sampler::Table(table) => edited.with_sampler(SamplerChoice::Table(table.resolution())),
+            Sampler::Lobes(_) | Sampler::Warp(_) => edited,
+        }
     }
 
     /// See [`Model::is_isotropic`].
@@ -116,7 +147,8 @@ impl Material {
     /// # Errors
     /// See [`Model::with_microfacet`].
     pub fn with_microfacet(&self, microfacet: Microfacet) -> Result<Material, String> {
-        with_model!(self, model => model.with_microfacet(microfacet).map(Material::from))
+        let edited = with_model!(self, model => model.with_microfacet(microfacet).map(Material::from))?;
+        Ok(self.sampled_alike(edited))
     }
 
     /// See [`Model::with_latent`].
@@ -124,7 +156,8 @@ impl Material {
     /// # Errors
     /// See [`Model::with_latent`].
     pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, String> {
-        with_model!(self, model => model.with_latent(latent).map(Material::from))
+        let edited = with_model!(self, model => model.with_latent(latent).map(Material::from))?;
+        Ok(self.sampled_alike(edited))
     }
 }
 
@@ -148,10 +181,10 @@ impl Brdf for Material {
 
 impl SampleBrdf for Material {
     fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
-        self.lobes().pdf(light, view)
+        self.sampler().pdf(light, view)
     }
 
     fn sample(&self, view: Vec3, u: Vec3) -> Sample {
-        self.lobes().sample(self, view, u)
+        self.sampler().sample(self, view, u)
     }
 }

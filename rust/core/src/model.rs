@@ -1,9 +1,9 @@
 //! What the faces and the model library ask of every model, beyond its reflectance.
 
 use crate::brdf::Brdf;
-use crate::lobes::Lobes;
 use crate::microfacet::Microfacet;
 use crate::network::Network;
+use crate::sampler::Sampler;
 
 /// A model of reflectance: one file of this crate each, listed in [`crate::material`].
 pub trait Model: Brdf + Clone {
@@ -11,7 +11,10 @@ pub trait Model: Brdf + Clone {
     const KIND: &'static str;
 
     /// The sampler.
-    fn lobes(&self) -> Lobes;
+    fn sampler(&self) -> &Sampler;
+
+    /// Gives the material another sampler.
+    fn set_sampler(&mut self, sampler: Sampler);
 
     /// Whether f is the same in every azimuth by construction.
     fn is_isotropic(&self) -> bool;

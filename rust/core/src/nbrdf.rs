@@ -14,6 +14,7 @@ use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
 use crate::network::{MAX_WIDTH, Network, Rows};
+use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Network inputs: h and d.
@@ -29,7 +30,7 @@ const MAX_OUTPUT: f32 = 20.7;
 pub struct Nbrdf {
     network: Arc<Network>,
     first_bias: Vec<Lane>,
-    lobes: Lobes,
+    sampler: Sampler,
 }
 
 impl Nbrdf {
@@ -47,8 +48,8 @@ impl Nbrdf {
         }
         let first_bias = network.fold(&[]);
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut nbrdf = Nbrdf { network, first_bias, lobes };
-        nbrdf.lobes = Lobes::fit(&nbrdf, &PROXY_ALPHAS);
+        let mut nbrdf = Nbrdf { network, first_bias, sampler: lobes.into() };
+        nbrdf.sampler = Lobes::fit(&nbrdf, &PROXY_ALPHAS).into();
         Ok(nbrdf)
     }
 
@@ -63,8 +64,12 @@ impl Model for Nbrdf {
     const KIND: &'static str = "nbrdf";
 
     /// A proxy that was fitted to the network.
-    fn lobes(&self) -> Lobes {
-        self.lobes
+    fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    fn set_sampler(&mut self, sampler: Sampler) {
+        self.sampler = sampler;
     }
 
     fn is_isotropic(&self) -> bool {

@@ -18,6 +18,7 @@ use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
 use crate::network::{Layer, MAX_WIDTH, Network, Rows};
+use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Learned frames.
@@ -45,7 +46,7 @@ pub struct Neural {
     /// ψ with this material's frames and latent code folded into its first layer.
     network: Network,
     first_bias: Vec<Lane>,
-    lobes: Lobes,
+    sampler: Sampler,
 }
 
 impl Neural {
@@ -85,8 +86,8 @@ impl Neural {
         let network = fold_frames(&shared, &latent)?;
         let first_bias = network.fold(&[]);
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut neural = Neural { shared, latent, bound, network, first_bias, lobes };
-        neural.lobes = Lobes::fit(&neural, &PROXY_ALPHAS);
+        let mut neural = Neural { shared, latent, bound, network, first_bias, sampler: lobes.into() };
+        neural.sampler = Lobes::fit(&neural, &PROXY_ALPHAS).into();
         Ok(neural)
     }
 
@@ -119,8 +120,12 @@ impl Model for Neural {
     const KIND: &'static str = "neural";
 
     /// A proxy that was fitted to the network.
-    fn lobes(&self) -> Lobes {
-        self.lobes
+    fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    fn set_sampler(&mut self, sampler: Sampler) {
+        self.sampler = sampler;
     }
 
     fn is_isotropic(&self) -> bool {

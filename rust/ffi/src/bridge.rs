@@ -5,9 +5,14 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::SystemTime;
 
+use glimt_core::library::Entry;
+use glimt_core::lobes::Lobes;
+use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_files::Source;
 
 use crate::packet::eval_packet_address;
+use crate::sampler_packet::{pdf_packet_address, sample_packet_address};
 
 #[cxx::bridge(namespace = "glimt::core")]
 mod ffi {
@@ -18,6 +23,7 @@ mod ffi {
         Neural,
         Nbrdf,
         Factor,
+        Tabulated,
     }
 
     /// What a network sees of two directions, see `features.rs` of the core.
@@ -92,9 +98,9 @@ mod ffi {
     extern "Rust" {
         type Material;
 
-        /// The material `name` of the library at `path`; an empty name is the only material of its
-        /// library.
-        fn open(path: &str, name: &str) -> Result<Box<Material>>;
+        /// The material `name` of the file at `path`; an empty name is the only material of its file.
+        /// `sampler` is empty for the default one.
+        fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>>;
         /// The same material with other parameters; what it does not have is ignored.
         fn edited(&self, microfacet: &Microfacet, latent: &[f32]) -> Result<Box<Material>>;
 
@@ -106,7 +112,14 @@ mod ffi {
         /// The analytic part, or zeros where there is none.
         fn microfacet(&self) -> Microfacet;
         fn latent(&self) -> &[f32];
+        /// Whether `model` is all that it takes to trace the evaluation elsewhere.
+        fn has_traced_form(&self) -> bool;
+        /// Whether the sampler is made of `lobes`, and can be traced elsewhere.
+        fn has_lobes(&self) -> bool;
+        /// The lobes, or cosine-distributed ones where the sampler is something else.
         fn lobes(&self) -> Lobes;
+        /// Name of the sampler.
+        fn sampler(&self) -> &str;
         fn is_isotropic(&self) -> bool;
         fn is_reciprocal(&self) -> bool;
 
@@ -114,6 +127,8 @@ mod ffi {
         fn pdf(&self, light: &[f32; 3], view: &[f32; 3]) -> f32;
         fn sample(&self, view: &[f32; 3], u: &[f32; 3]) -> Sample;
         fn eval_packet_address(width: usize) -> usize;
+        fn pdf_packet_address(width: usize) -> usize;
+        fn sample_packet_address(width: usize) -> usize;
     }
 }
 
@@ -135,12 +150,14 @@ fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String>
     guarded(Err("internal error (a panic, see the standard error stream)".into()), f)
 }
 
-pub fn open(path: &str, name: &str) -> Result<Box<Material>, String> {
+pub fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>, String> {
     guarded_result(|| {
+        let choice = (!sampler.is_empty()).then(|| sampler.parse::<SamplerChoice>()).transpose()?;
         let library = shared_library(path)?;
-        let entry = library.entry((!name.is_empty()).then_some(name)).map_err(|e| e.to_string())?;
-        let (name, material) = (entry.name.clone(), entry.material.clone());
-        Ok(Box::new(Material { name, material, library }))
+        let name = (!name.is_empty()).then_some(name);
+        let Entry { name, material, .. } = library.entry(name).map_err(|e| e.to_string())?;
+        let material = choice.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
+        Ok(Box::new(Material { name: name.clone(), material, library }))
     })
 }
 
@@ -160,7 +177,8 @@ fn shared_library(path: &str) -> Result<Arc<Library>, String> {
     if let Some(library) = found.and_then(|(_, library)| library.upgrade()) {
         return Ok(library);
     }
-    let library = Arc::new(Library::open(path).map_err(|e| e.to_string())?);
+    let source = Source::open(path).map_err(|e| e.to_string())?;
+    let library = Arc::new(source.library().map_err(|e| e.to_string())?.clone());
     open.extend(state.map(|state| (state, Arc::downgrade(&library))));
     Ok(library)
 }
@@ -185,7 +203,12 @@ impl Material {
     }
 
     fn description(&self) -> String {
-        let kind = self.material.kind();
+        let kind = match &self.material {
+            glimt_core::Material::Tabulated(tabulated) => {
+                return format!("{} ({})", self.material.kind(), tabulated.table().format());
+            }
+            fitted => fitted.kind(),
+        };
         let Some(network) = self.material.network() else { return kind.to_owned() };
         let layers = network.layers();
         let sizes = [layers[0].inputs()].into_iter().chain(layers.iter().map(network::Layer::outputs));
@@ -225,6 +248,7 @@ impl Material {
                 ffi::Model { kind: ffi::Kind::Nbrdf, network: m.network().as_ref().into(), ..model }
             }
             glimt_core::Material::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
+            glimt_core::Material::Tabulated(_) => ffi::Model { kind: ffi::Kind::Tabulated, ..model },
         }
     }
 
@@ -242,9 +266,22 @@ impl Material {
         self.material.latent()
     }
 
+    fn has_traced_form(&self) -> bool {
+        !matches!(self.material, glimt_core::Material::Factor(_) | glimt_core::Material::Tabulated(_))
+    }
+
+    fn has_lobes(&self) -> bool {
+        self.material.sampler().lobes().is_some()
+    }
+
     fn lobes(&self) -> ffi::Lobes {
-        let lobes = self.material.lobes();
-        ffi::Lobes { alpha: lobes.alpha, specular_weight: lobes.specular_weight }
+        let cosine = Lobes { alpha: [1.0; 2], specular_weight: 0.0 };
+        let Lobes { alpha, specular_weight } = self.material.sampler().lobes().unwrap_or(cosine);
+        ffi::Lobes { alpha, specular_weight }
+    }
+
+    fn sampler(&self) -> &str {
+        self.material.sampler().name()
     }
 
     fn is_isotropic(&self) -> bool {

@@ -11,6 +11,7 @@ use std::ffi::{CStr, CString, c_char};
 use std::ptr;
 
 use glimt_core::{Brdf, Error, Library, Material, Sample, SampleBrdf, Vec3};
+use glimt_files::Source;
 
 use crate::bridge::guarded;
 
@@ -49,6 +50,8 @@ pub enum glimt_kind {
     GLIMT_KIND_NBRDF = 3,
     /// Tables over single angles, as Bagher et al. 2016.
     GLIMT_KIND_FACTOR = 4,
+    /// A measured table as it is.
+    GLIMT_KIND_TABULATED = 5,
 }
 use glimt_kind::*;
 
@@ -133,6 +136,17 @@ fn fail_with(error: &Error) -> glimt_status {
     fail(status, error.to_string())
 }
 
+/// An error of opening a file.
+fn fail_to_open(error: glimt_files::Error) -> glimt_status {
+    use glimt_files::Error as Files;
+    let status = match error {
+        Files::Library(error) => return fail_with(&error),
+        Files::Read { .. } | Files::Measured(glimt_measured::Error::Read { .. }) => GLIMT_ERROR_READ,
+        _ => GLIMT_ERROR_FORMAT,
+    };
+    fail(status, error.to_string())
+}
+
 /// What `f` answers; a panic becomes a status, as it must not reach C.
 fn call(f: impl FnOnce() -> glimt_status) -> glimt_status {
     guarded(None, || Some(f())).unwrap_or_else(|| {
@@ -183,7 +197,8 @@ pub extern "C" fn glimt_last_error() -> *const c_char {
     LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
 }
 
-/// Reads a model library.
+/// Reads a model library (.safetensors), a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or the
+/// weights of a neural BRDF (.h5, .npz). The last two are libraries of one material.
 ///
 /// \param path     File name, UTF-8.
 /// \param library  Receives the library, to be closed with glimt_library_close(); NULL on error.
@@ -206,8 +221,8 @@ pub unsafe extern "C" fn glimt_library_open(
             Ok(path) => path,
             Err(status) => return status,
         };
-        match Library::open(path) {
-            Err(error) => fail_with(&error),
+        match Source::open(path).and_then(|source| source.library().cloned()) {
+            Err(error) => fail_to_open(error),
             Ok(opened) => {
                 let names = opened.entries().iter().map(|entry| c_string(&entry.name)).collect();
                 let kind = c_string(opened.kind());
@@ -251,7 +266,7 @@ pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index
 }
 
 /// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
-/// "nbrdf" or "factor"; valid until the library is closed. NULL for NULL.
+/// "nbrdf" or "factor", and "tabulated" for a measurement; valid until the library is closed. NULL for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
     // SAFETY: the caller's promise.
@@ -347,6 +362,7 @@ fn kind(material: &Material) -> glimt_kind {
         Material::Neural(_) => GLIMT_KIND_NEURAL,
         Material::Nbrdf(_) => GLIMT_KIND_NBRDF,
         Material::Factor(_) => GLIMT_KIND_FACTOR,
+        Material::Tabulated(_) => GLIMT_KIND_TABULATED,
     }
 }
 
@@ -552,10 +568,10 @@ pub unsafe extern "C" fn glimt_pdf_batch(
             return GLIMT_OK;
         }
         let material = check!(material; light, view, pdf);
-        let lobes = material.lobes();
+        let sampler = material.sampler();
         for i in 0..n {
             // SAFETY: the caller's promise; not NULL.
-            unsafe { *pdf.add(i) = lobes.pdf(read(light.add(3 * i)), read(view.add(3 * i))) };
+            unsafe { *pdf.add(i) = sampler.pdf(read(light.add(3 * i)), read(view.add(3 * i))) };
         }
         GLIMT_OK
     })

@@ -6,3 +6,4 @@
 mod bridge;
 pub mod c_api;
 mod packet;
+mod sampler_packet;

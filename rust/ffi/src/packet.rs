@@ -254,7 +254,7 @@ mod tests {
             Entry { name: alpha.to_string(), material: hybrid.into(), origin: Origin::default() }
         });
         Library::new(&path, entries.into()).unwrap().save().unwrap();
-        let materials = ["0.1", "0.4"].map(|name| open(path.to_str().unwrap(), name).unwrap());
+        let materials = ["0.1", "0.4"].map(|name| open(path.to_str().unwrap(), name, "").unwrap());
         check::<4>(&materials);
         check::<8>(&materials);
         check::<16>(&materials);

@@ -2,7 +2,7 @@
 //! samples, and the network weights that Sztrajman et al. publish; and NumPy arrays.
 //!
 //! ```no_run
-//! use glimt_core::Vec3;
+//! use glimt_core::{Brdf, Vec3};
 //! use glimt_files::Source;
 //!
 //! let source = Source::open("gold-metallic-paint.npz")?;
@@ -16,10 +16,8 @@ pub mod nbrdf;
 pub mod npy;
 pub mod samples;
 mod source;
-mod table;
 
 pub use error::Error;
 pub use npy::Array;
 pub use samples::Samples;
 pub use source::{Source, sha256};
-pub use table::Table;

@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glimt_core::library::{Entry, Origin};
-use glimt_core::{Library, Material, SampleBrdf};
+use glimt_core::{Library, Material};
 use glimt_measured::Measured;
 use sha2::{Digest, Sha256};
 
@@ -14,20 +14,12 @@ use crate::keras;
 use crate::nbrdf;
 use crate::npy;
 use crate::samples::Samples;
-use crate::table::Table;
 
-/// What a file holds: models, or a measurement as it is.
+/// What a file holds: materials, or samples of one.
 #[derive(Clone, Debug)]
 pub enum Source {
-    /// A model library, or NBRDF weights as a library of one material.
+    /// A model library; a measured table or NBRDF weights as a library of one material.
     Library(Library),
-    /// A measured file.
-    Table {
-        /// Where it was read from.
-        path: PathBuf,
-        /// The table.
-        table: Box<Table>,
-    },
     /// Scattered samples: f at some pairs of directions, and nothing between them.
     Samples {
         /// Where they were read from.
@@ -66,10 +58,22 @@ impl Source {
         }
         match Measured::open(path) {
             Ok(measured) => {
-                Ok(Source::Table { path: path.to_owned(), table: Box::new(Table::new(measured)) })
+                let name = measured.name().to_owned();
+                single(path, name, measured.into_material(), Origin::default())
             }
             Err(glimt_measured::Error::UnknownFormat { found, .. }) => Err(unknown(path, &found)),
             Err(error) => Err(error.into()),
+        }
+    }
+
+    /// The materials.
+    ///
+    /// # Errors
+    /// [`Error::OnlySamples`].
+    pub fn library(&self) -> Result<&Library, Error> {
+        match self {
+            Source::Library(library) => Ok(library),
+            Source::Samples { path, .. } => Err(Error::OnlySamples { path: path.clone() }),
         }
     }
 
@@ -78,7 +82,7 @@ impl Source {
     pub fn path(&self) -> &Path {
         match self {
             Source::Library(library) => library.path(),
-            Source::Table { path, .. } | Source::Samples { path, .. } => path,
+            Source::Samples { path, .. } => path,
         }
     }
 
@@ -87,11 +91,9 @@ impl Source {
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
-            Source::Library(library) => library.kind(),
-            Source::Table { table, .. } => match table.measured() {
-                Measured::Merl(_) => "merl",
-                Measured::Rgl(_) => "rgl",
-                Measured::Utia(_) => "utia",
+            Source::Library(library) => match &library.entries()[0].material {
+                Material::Tabulated(tabulated) => tabulated.table().format(),
+                _ => library.kind(),
             },
             Source::Samples { .. } => "samples",
         }
@@ -102,7 +104,6 @@ impl Source {
     pub fn names(&self) -> Vec<String> {
         match self {
             Source::Library(library) => library.names(),
-            Source::Table { table, .. } => vec![table.measured().name().to_owned()],
             Source::Samples { path, .. } => {
                 vec![path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()]
             }
@@ -113,20 +114,8 @@ impl Source {
     ///
     /// # Errors
     /// The library's: an unknown name, with the nearest ones, or none where there are several. [`Error::OnlySamples`].
-    pub fn brdf(&self, name: Option<&str>) -> Result<&dyn SampleBrdf, Error> {
-        match self {
-            Source::Library(library) => Ok(library.material(name)?),
-            Source::Table { path, table } => match name {
-                Some(name) if name != table.measured().name() => {
-                    let materials = self.names();
-                    let nearest = glimt_core::library::nearest(name, materials.iter().map(String::as_str));
-                    let (path, name) = (path.clone(), name.to_owned());
-                    Err(glimt_core::Error::UnknownMaterial { path, name, nearest, materials }.into())
-                }
-                _ => Ok(&**table),
-            },
-            Source::Samples { path, .. } => Err(Error::OnlySamples { path: path.clone() }),
-        }
+    pub fn brdf(&self, name: Option<&str>) -> Result<&Material, Error> {
+        Ok(self.library()?.material(name)?)
     }
 }
 
@@ -148,13 +137,17 @@ fn unknown(path: &Path, found: &str) -> Error {
     Error::UnknownFormat { path: path.to_owned(), found: format!("found {found}") }
 }
 
+/// A file of one material as a library of it.
+fn single(path: &Path, name: String, material: Material, origin: Origin) -> Result<Source, Error> {
+    Ok(Source::Library(Library::new(path, vec![Entry { name, material, origin }])?))
+}
+
 /// NBRDF weights as a library of one material.
 fn open_nbrdf(path: &Path) -> Result<Source, Error> {
     let material = Material::Nbrdf(nbrdf::open(path)?);
     let source = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let origin = Origin { source, sha256: sha256(path)?, command: "import".into(), ..Origin::default() };
-    let entry = Entry { name: nbrdf::name(path), material, origin };
-    Ok(Source::Library(Library::new(path, vec![entry])?))
+    single(path, nbrdf::name(path), material, origin)
 }
 
 /// SHA-256 of a file in hexadecimal.

@@ -3,7 +3,7 @@
 use std::f32::consts::PI;
 use std::path::PathBuf;
 
-use glimt_core::Vec3;
+use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_files::Source;
 
 fn shared(file: &str) -> Option<PathBuf> {

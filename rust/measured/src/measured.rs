@@ -1,9 +1,11 @@
 //! A measured file of any format.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use glam::Vec3;
-use glimt_core::Brdf;
+use glimt_core::tabulated::{Table, Tabulated};
+use glimt_core::{Brdf, Material};
 
 use crate::error::Error;
 use crate::file;
@@ -66,33 +68,44 @@ impl Measured {
         }
     }
 
-    /// What the file says about the material; empty for the formats that say nothing.
+    /// As a material that renderers hold: RGL files are sampled by their own warps, the others by
+    /// tables, which are made here.
     #[must_use]
-    pub fn description(&self) -> &str {
+    pub fn into_material(self) -> Material {
+        Material::Tabulated(match self {
+            Measured::Merl(merl) => Tabulated::new(Arc::new(merl), None),
+            Measured::Utia(utia) => Tabulated::new(Arc::new(utia), None),
+            Measured::Rgl(rgl) => {
+                let rgl = Arc::new(rgl);
+                Tabulated::new(rgl.clone(), Some(rgl))
+            }
+        })
+    }
+
+    fn table(&self) -> &dyn Table {
         match self {
-            Measured::Rgl(rgl) => rgl.description(),
-            Measured::Merl(_) | Measured::Utia(_) => "",
+            Measured::Merl(merl) => merl,
+            Measured::Rgl(rgl) => rgl,
+            Measured::Utia(utia) => utia,
         }
     }
 
-    /// Whether f depends on the difference of the azimuths only.
+    /// See [`Table::is_isotropic`].
     #[must_use]
     pub fn is_isotropic(&self) -> bool {
-        match self {
-            Measured::Merl(_) => true,
-            Measured::Rgl(rgl) => rgl.is_isotropic(),
-            Measured::Utia(_) => false,
-        }
+        self.table().is_isotropic()
     }
 
-    /// Number of negative values in the file, which f takes as 0.
+    /// See [`Table::description`].
+    #[must_use]
+    pub fn description(&self) -> &str {
+        self.table().description()
+    }
+
+    /// See [`Table::clamped`].
     #[must_use]
     pub fn clamped(&self) -> usize {
-        match self {
-            Measured::Merl(merl) => merl.clamped(),
-            Measured::Rgl(rgl) => rgl.clamped(),
-            Measured::Utia(utia) => utia.clamped(),
-        }
+        self.table().clamped()
     }
 }
 
@@ -104,5 +117,9 @@ impl Brdf for Measured {
             Measured::Rgl(rgl) => rgl.eval(light, view),
             Measured::Utia(utia) => utia.eval(light, view),
         }
+    }
+
+    fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
+        self.table().eval_batch(light, view, out);
     }
 }

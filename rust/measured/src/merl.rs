@@ -11,6 +11,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use glimt_core::tabulated::Table;
 use glimt_core::{Brdf, is_lit};
 
 use crate::error::Error;
@@ -92,12 +93,6 @@ impl Merl {
         &self.name
     }
 
-    /// Number of negative values in the file, bins without data included; they are read as 0.
-    #[must_use]
-    pub fn clamped(&self) -> usize {
-        self.clamped
-    }
-
     #[inline]
     fn bin(&self, theta_half: usize, theta_diff: usize, phi_diff: usize) -> Vec3 {
         self.bins[(theta_half * BINS[1] + theta_diff) * BINS[2] + phi_diff]
@@ -129,6 +124,25 @@ impl Brdf for Merl {
             Interpolation::Nearest => self.nearest(position),
             Interpolation::Linear => self.linear(position),
         }
+    }
+}
+
+impl Table for Merl {
+    fn format(&self) -> &'static str {
+        "merl"
+    }
+
+    fn is_isotropic(&self) -> bool {
+        true
+    }
+
+    fn is_reciprocal(&self) -> bool {
+        true
+    }
+
+    /// Bins without data included.
+    fn clamped(&self) -> usize {
+        self.clamped
     }
 }
 

@@ -21,7 +21,9 @@ use std::f32::consts::{FRAC_1_PI, FRAC_2_PI, FRAC_PI_2, PI, TAU};
 use std::path::Path;
 
 use glam::{Vec2, Vec3, Vec4};
-use glimt_core::{Brdf, Sample, SampleBrdf, is_lit};
+use glimt_core::sampler::DirectionSampler;
+use glimt_core::tabulated::Table;
+use glimt_core::{Brdf, is_lit};
 
 use crate::error::Error;
 use crate::file;
@@ -156,25 +158,6 @@ impl Rgl {
         &self.name
     }
 
-    /// What the database says about the material.
-    #[must_use]
-    pub fn description(&self) -> &str {
-        &self.description
-    }
-
-    /// Number of negative values in the file; where the interpolation of the table gives a negative
-    /// reflectance, f is 0.
-    #[must_use]
-    pub fn clamped(&self) -> usize {
-        self.clamped
-    }
-
-    /// Whether f depends on the difference of the azimuths only.
-    #[must_use]
-    pub fn is_isotropic(&self) -> bool {
-        self.symmetry == Symmetry::Isotropic
-    }
-
     #[inline]
     fn view(&self, view: Vec3) -> View {
         let direction = view * self.symmetry.fold(view).extend(1.0);
@@ -233,7 +216,31 @@ impl Brdf for Rgl {
     }
 }
 
-impl SampleBrdf for Rgl {
+impl Table for Rgl {
+    fn format(&self) -> &'static str {
+        "rgl"
+    }
+
+    /// What the database says about the material.
+    fn description(&self) -> &str {
+        &self.description
+    }
+
+    fn is_isotropic(&self) -> bool {
+        self.symmetry == Symmetry::Isotropic
+    }
+
+    fn is_reciprocal(&self) -> bool {
+        false
+    }
+
+    /// Where the interpolation of the table gives a negative reflectance, f is 0 too.
+    fn clamped(&self) -> usize {
+        self.clamped
+    }
+}
+
+impl DirectionSampler for Rgl {
     fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
         if !is_lit(light, view) {
             return 0.0;
@@ -248,9 +255,9 @@ impl SampleBrdf for Rgl {
 
     /// The database's own sampling: `u.y` and `u.z` are warped by the luminance of the reflectance
     /// table, then by the visible normals; `u.x` is not needed.
-    fn sample(&self, view: Vec3, u: Vec3) -> Sample {
+    fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
         if !is_lit(view, view) {
-            return Sample::FAILED;
+            return None;
         }
         let fold = self.symmetry.fold(view).extend(1.0);
         let View { direction, theta, phi } = self.view(view);
@@ -265,11 +272,7 @@ impl SampleBrdf for Rgl {
         let half = Vec3::new(cos_phi * sin_theta, sin_phi * sin_theta, cos_theta);
         let light = (2.0 * direction.dot(half) * half - direction).normalize_or_zero();
         let pdf = vndf * luminance / Rgl::solid_angle(u_half, half, direction);
-        if !(light.z > 0.0 && pdf > 0.0 && pdf.is_finite()) {
-            return Sample::FAILED;
-        }
-        let light = light * fold;
-        Sample { light, pdf, weight: self.eval(light, view) * (light.z / pdf) }
+        (light.z > 0.0 && pdf > 0.0 && pdf.is_finite()).then_some((light * fold, pdf))
     }
 }
 

@@ -17,6 +17,7 @@ use std::f32::consts::{FRAC_PI_2, TAU};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use glimt_core::tabulated::Table;
 use glimt_core::{Brdf, is_lit};
 
 use crate::error::Error;
@@ -121,10 +122,22 @@ impl Utia {
     pub fn name(&self) -> &str {
         &self.name
     }
+}
 
-    /// Number of negative values in the file; they are read as 0.
-    #[must_use]
-    pub fn clamped(&self) -> usize {
+impl Table for Utia {
+    fn format(&self) -> &'static str {
+        "utia"
+    }
+
+    fn is_isotropic(&self) -> bool {
+        false
+    }
+
+    fn is_reciprocal(&self) -> bool {
+        false
+    }
+
+    fn clamped(&self) -> usize {
         self.clamped
     }
 }

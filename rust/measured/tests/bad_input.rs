@@ -249,7 +249,7 @@ proptest! {
         u in prop::array::uniform3(0.0_f32..1.0),
     ) {
         use glimt_core::SampleBrdf;
-        let brdf = parse(&rgl()).unwrap();
+        let brdf = glimt_measured::Measured::Rgl(parse(&rgl()).unwrap()).into_material();
         let (light, view) = (Vec3::from(light), Vec3::from(view));
         for (light, view) in [(light, view), (light.normalize(), view.normalize())] {
             let (f, pdf, sample) = (brdf.eval(light, view), brdf.pdf(light, view), brdf.sample(view, u.into()));

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use glimt_core::{Brdf, SampleBrdf, Vec3};
+use glimt_core::sampler::DirectionSampler;
+use glimt_core::{Brdf, Vec3};
 use glimt_measured::Rgl;
 
 /// Where the half vector is the normal its azimuth, which the tables depend on, is rounding noise.

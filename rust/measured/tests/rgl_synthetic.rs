@@ -4,12 +4,13 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::Path;
 
 use glam::{DVec2, DVec3, Vec2};
+use glimt_core::tabulated::Table;
 use glimt_core::{Brdf, SampleBrdf, Vec3};
-use glimt_measured::Rgl;
 use glimt_measured::grid::{Directions, Extent};
 use glimt_measured::spectrum;
 use glimt_measured::tensor::{Field, TensorFile};
 use glimt_measured::warp::Warp;
+use glimt_measured::{Measured, Rgl};
 
 /// Samples a function of the unit square at the knots of an extent, row by row.
 fn table(extent: Extent, value: impl Fn(DVec2) -> f64) -> Vec<f32> {
@@ -325,7 +326,7 @@ fn sampling_follows_the_density_and_the_weight_is_f_cos_over_it() {
         Layout::anisotropic(grid_of_phi(-PI, 0.0)).file(None, true),
         Layout::anisotropic(grid_of_phi(-PI, -FRAC_PI_2)).file(None, true),
     ];
-    for (brdf, view) in files.iter().map(read).flat_map(|brdf| {
+    for (brdf, view) in files.iter().map(|file| Measured::Rgl(read(file)).into_material()).flat_map(|brdf| {
         [direction(0.4, 0.7), direction(1.1, -2.0)].map(|view| (brdf.clone(), view.as_vec3()))
     }) {
         // The mean of g·cosθ over samples, and the integral of that times the density.

@@ -1,25 +1,30 @@
 //! `glimt.load` and `glimt.Library`.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
+use glimt_core::sampler::SamplerChoice;
 use glimt_files::Source;
 use pyo3::prelude::*;
 
 use crate::error;
-use crate::material::Material;
+use crate::material::{Material, parse_sampler};
 
 /// Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights.
+///
+/// `sampler` gives all materials another sampler, see `Material.with_sampler`.
 #[pyfunction]
-pub fn load(py: Python, path: PathBuf) -> PyResult<Library> {
+#[pyo3(signature = (path, *, sampler=None))]
+pub fn load(py: Python, path: PathBuf, sampler: Option<&str>) -> PyResult<Library> {
+    let sampler = sampler.map(parse_sampler).transpose()?;
     let source = py.detach(|| Source::open(path)).map_err(error)?;
-    Ok(Library { source: Arc::new(source) })
+    Ok(Library { source, sampler })
 }
 
 /// The materials of a file. Immutable.
 #[pyclass(frozen, module = "glimt")]
 pub struct Library {
-    source: Arc<Source>,
+    source: Source,
+    sampler: Option<SamplerChoice>,
 }
 
 #[pymethods]
@@ -44,12 +49,12 @@ impl Library {
 
     /// The material of that name; the only one if no name is given.
     #[pyo3(signature = (name=None))]
-    fn material(&self, name: Option<&str>) -> PyResult<Material> {
-        Material::new(&self.source, name).map_err(error)
+    fn material(&self, py: Python, name: Option<&str>) -> PyResult<Material> {
+        py.detach(|| Material::new(&self.source, name, self.sampler)).map_err(error)
     }
 
-    fn __getitem__(&self, name: &str) -> PyResult<Material> {
-        self.material(Some(name))
+    fn __getitem__(&self, py: Python, name: &str) -> PyResult<Material> {
+        self.material(py, Some(name))
     }
 
     fn __contains__(&self, name: &str) -> bool {

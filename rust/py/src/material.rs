@@ -1,10 +1,11 @@
 //! `glimt.Material`.
 
-use std::sync::Arc;
-
-use glimt_core::{SampleBrdf, Vec3};
+use glimt_core::library::Entry;
+use glimt_core::sampler::{Sampler, SamplerChoice};
+use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_files::Source;
 use numpy::{PyArray1, ToPyArray};
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::arrays::{Directions, Triples, aligned};
@@ -16,13 +17,7 @@ use crate::parallel;
 pub struct Material {
     name: String,
     kind: &'static str,
-    content: Content,
-}
-
-enum Content {
-    Model(Box<glimt_core::Material>),
-    /// The only material of a measured file.
-    Table(Arc<Source>),
+    material: glimt_core::Material,
 }
 
 /// One number for all components, or one for each.
@@ -45,38 +40,19 @@ impl<const N: usize> Numbers<N> {
 
 impl Material {
     /// The material of that name; the only one if `name` is `None`.
-    pub fn new(source: &Arc<Source>, name: Option<&str>) -> Result<Material, glimt_files::Error> {
-        let kind = source.kind();
-        match &**source {
-            Source::Library(library) => {
-                let entry = library.entry(name)?;
-                let content = Content::Model(Box::new(entry.material.clone()));
-                Ok(Material { name: entry.name.clone(), kind, content })
-            }
-            Source::Table { table, .. } => {
-                source.brdf(name)?;
-                let name = table.measured().name().to_owned();
-                Ok(Material { name, kind, content: Content::Table(Arc::clone(source)) })
-            }
-            Source::Samples { path, .. } => Err(glimt_files::Error::OnlySamples { path: path.clone() }),
-        }
+    pub fn new(
+        source: &Source,
+        name: Option<&str>,
+        sampler: Option<SamplerChoice>,
+    ) -> Result<Material, glimt_files::Error> {
+        let Entry { name, material, .. } = source.library()?.entry(name)?;
+        let material = sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
+        Ok(Material { name: name.clone(), kind: source.kind(), material })
     }
 
-    fn model(&self) -> Option<&glimt_core::Material> {
-        match &self.content {
-            Content::Model(material) => Some(material),
-            Content::Table(_) => None,
-        }
-    }
-
-    fn brdf(&self) -> &dyn SampleBrdf {
-        match &self.content {
-            Content::Model(material) => &**material,
-            Content::Table(source) => match &**source {
-                Source::Table { table, .. } => &**table,
-                Source::Library(_) | Source::Samples { .. } => unreachable!("made of a table"),
-            },
-        }
+    /// The same material after a change.
+    fn changed(&self, material: glimt_core::Material) -> Material {
+        Material { name: self.name.clone(), kind: self.kind, material }
     }
 }
 
@@ -97,25 +73,25 @@ impl Material {
     /// Diffuse albedo, linear RGB; None where the model has no analytic part.
     #[getter]
     fn kd(&self) -> Option<(f32, f32, f32)> {
-        self.model()?.microfacet().map(|m| m.kd.into())
+        self.material.microfacet().map(|m| m.kd.into())
     }
 
     /// Relative index of refraction per channel; None where the model has no analytic part.
     #[getter]
     fn eta(&self) -> Option<(f32, f32, f32)> {
-        self.model()?.microfacet().map(|m| m.eta.into())
+        self.material.microfacet().map(|m| m.eta.into())
     }
 
     /// GGX roughness along x and y; None where the model has no analytic part.
     #[getter]
     fn alpha(&self) -> Option<(f32, f32)> {
-        self.model()?.microfacet().map(|m| m.alpha.into())
+        self.material.microfacet().map(|m| m.alpha.into())
     }
 
     /// The latent code, float32; empty where the model has none.
     #[getter]
     fn latent<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        self.model().map_or(&[][..], |material| material.latent()).to_pyarray(py)
+        self.material.latent().to_pyarray(py)
     }
 
     /// A copy with other parameters of its analytic part, and a sampler that follows them.
@@ -129,15 +105,32 @@ impl Material {
         alpha: Option<Numbers<2>>,
     ) -> PyResult<Material> {
         let refused = |reason: String| error(format!("material \"{}\": {reason}", self.name));
-        let editable = self.model().and_then(|material| Some((material, *material.microfacet()?)));
-        let Some((material, mut microfacet)) = editable else {
+        let Some(mut microfacet) = self.material.microfacet().copied() else {
             return Err(refused(format!("{} materials have no kd, eta or alpha to edit", self.kind)));
         };
         microfacet.kd = kd.map_or(microfacet.kd, |kd| kd.each());
         microfacet.eta = eta.map_or(microfacet.eta, |eta| eta.each());
         microfacet.alpha = alpha.map_or(microfacet.alpha, |alpha| alpha.each());
-        let material = material.with_microfacet(microfacet).map_err(refused)?;
-        Ok(Material { name: self.name.clone(), kind: self.kind, content: Content::Model(Box::new(material)) })
+        Ok(self.changed(self.material.with_microfacet(microfacet).map_err(refused)?))
+    }
+
+    /// Name of the sampler: "lobes", "table" or "warp".
+    #[getter]
+    fn sampler(&self) -> &'static str {
+        self.material.sampler().name()
+    }
+
+    /// Bytes of the sampler's tables; 0 for lobes and for a measurement's own warp.
+    #[getter]
+    fn sampler_bytes(&self) -> usize {
+        if let Sampler::Table(table) = self.material.sampler() { table.bytes() } else { 0 }
+    }
+
+    /// A copy with another sampler, made for it now: "lobes", "table", "table:paper" or
+    /// "table:VIEWSxRINGSxSECTORS".
+    fn with_sampler(&self, py: Python, sampler: &str) -> PyResult<Material> {
+        let choice = parse_sampler(sampler)?;
+        Ok(self.changed(py.detach(|| self.material.with_sampler(choice))))
     }
 
     /// f_r(light, view) in 1/sr, linear RGB, without the cosine.
@@ -151,7 +144,7 @@ impl Material {
         py.detach(|| {
             parallel::chunks(f.as_mut(), |first, f| {
                 let n = f.len();
-                self.brdf().eval_batch(&light.range(first, n), &view.range(first, n), f);
+                self.material.eval_batch(&light.range(first, n), &view.range(first, n), f);
             });
         });
         f.into_numpy(py)
@@ -166,7 +159,7 @@ impl Material {
         py.detach(|| {
             parallel::chunks(&mut pdf, |first, pdf| {
                 for (i, pdf) in pdf.iter_mut().enumerate() {
-                    *pdf = self.brdf().pdf(light.get(first + i), view.get(first + i));
+                    *pdf = self.material.pdf(light.get(first + i), view.get(first + i));
                 }
             });
         });
@@ -189,7 +182,7 @@ impl Material {
         py.detach(|| {
             parallel::chunks(&mut samples, |first, samples| {
                 for (i, sample) in samples.iter_mut().enumerate() {
-                    *sample = self.brdf().sample(view.get(first + i), u.get(first + i));
+                    *sample = self.material.sample(view.get(first + i), u.get(first + i));
                 }
             });
         });
@@ -207,6 +200,14 @@ impl Material {
     fn __repr__(&self) -> String {
         format!("<glimt.Material {:?}: {}>", self.name, self.kind)
     }
+}
+
+/// What the name of a sampler asks for.
+///
+/// # Errors
+/// `ValueError` for a name that is none.
+pub fn parse_sampler(name: &str) -> PyResult<SamplerChoice> {
+    name.parse().map_err(PyValueError::new_err)
 }
 
 /// An array (n,), or one float.

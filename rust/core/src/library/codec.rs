@@ -12,6 +12,7 @@ use crate::model::Model;
 use crate::nbrdf::{self, Nbrdf};
 use crate::network::{Activation, Network};
 use crate::neural::{self, Neural, Shared};
+use crate::tabulated::Tabulated;
 
 /// A model's part of the library file.
 pub(crate) trait Codec: Model {
@@ -20,7 +21,7 @@ pub(crate) trait Codec: Model {
         None
     }
 
-    /// The tensors of a library's materials; never empty.
+    /// The tensors of a library's materials; none if a library cannot hold the model.
     fn encode(materials: &[&Self]) -> Vec<Tensor>;
 
     /// The materials of a file.
@@ -114,6 +115,17 @@ impl Codec for Nbrdf {
     fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
         let networks = file.networks(nbrdf::FEATURES, Activation::Relu)?;
         file.each(|i| Nbrdf::new(networks[i].clone()))
+    }
+}
+
+/// Measurements stay in their own formats.
+impl Codec for Tabulated {
+    fn encode(_: &[&Self]) -> Vec<Tensor> {
+        Vec::new()
+    }
+
+    fn decode(_: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+        Err("a library cannot hold measured tables".into())
     }
 }
 

@@ -1,0 +1,132 @@
+//! How a material chooses light directions: lobes, a table, or a warp that comes with the measurement.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use crate::brdf::{Brdf, Sample};
+use crate::lobes::Lobes;
+use crate::table_sampler::{Resolution, TableSampler};
+
+/// A map from random numbers to light directions that a measurement brings along.
+pub trait DirectionSampler: fmt::Debug + Send + Sync {
+    /// Density (sr⁻¹) with which [`DirectionSampler::sample_direction`] chooses `light`.
+    fn pdf(&self, light: Vec3, view: Vec3) -> f32;
+
+    /// A light direction above the horizon and its density, or `None` for a failed sample. Arguments as
+    /// in [`SampleBrdf::sample`](crate::SampleBrdf::sample).
+    fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)>;
+}
+
+/// The sampler of a material. Whatever it is, its density is exact.
+#[derive(Clone, Debug)]
+pub enum Sampler {
+    /// A cosine lobe and a GGX lobe: no memory, the same formula in every renderer.
+    Lobes(Lobes),
+    /// Tables of the reflectance itself: hundreds of kilobytes, and close to its shape.
+    Table(Arc<TableSampler>),
+    /// The measurement's own.
+    Warp(Arc<dyn DirectionSampler>),
+}
+
+impl Sampler {
+    /// Its name as commands and scenes spell it.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Sampler::Lobes(_) => "lobes",
+            Sampler::Table(_) => "table",
+            Sampler::Warp(_) => "warp",
+        }
+    }
+
+    /// The lobes, if it is made of them.
+    #[must_use]
+    pub fn lobes(&self) -> Option<Lobes> {
+        if let Sampler::Lobes(lobes) = self { Some(*lobes) } else { None }
+    }
+
+    /// Density (sr⁻¹) of `light` given `view`.
+    #[must_use]
+    pub fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
+        match self {
+            Sampler::Lobes(lobes) => lobes.pdf(light, view),
+            Sampler::Table(table) => table.pdf(light, view),
+            Sampler::Warp(warp) => warp.pdf(light, view),
+        }
+    }
+
+    /// A light direction above the horizon and its density, or `None` for a failed sample. Arguments as
+    /// in [`SampleBrdf::sample`](crate::SampleBrdf::sample).
+    #[must_use]
+    pub fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
+        match self {
+            Sampler::Lobes(lobes) => {
+                lobes.sample_direction(view, u).map(|light| (light, lobes.pdf(light, view)))
+            }
+            Sampler::Table(table) => table.sample_direction(view, u),
+            Sampler::Warp(warp) => warp.sample_direction(view, u),
+        }
+    }
+
+    /// Samples `brdf`, arguments as in [`SampleBrdf::sample`](crate::SampleBrdf::sample).
+    #[must_use]
+    pub fn sample(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
+        match self.sample_direction(view, u) {
+            Some((light, pdf)) => Sample { light, pdf, weight: brdf.eval(light, view) * (light.z / pdf) },
+            None => Sample::FAILED,
+        }
+    }
+}
+
+impl From<Lobes> for Sampler {
+    fn from(lobes: Lobes) -> Self {
+        Sampler::Lobes(lobes)
+    }
+}
+
+/// A sampler to ask for: `lobes`, `table`, `table:paper`, or `table:VIEWSxRINGSxSECTORS`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SamplerChoice {
+    /// [`Sampler::Lobes`].
+    Lobes,
+    /// [`Sampler::Table`] at some resolution.
+    Table(Resolution),
+}
+
+impl FromStr for SamplerChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "lobes" => Ok(SamplerChoice::Lobes),
+            None if text == "table" => Ok(SamplerChoice::Table(Resolution::DEFAULT)),
+            Some(("table", resolution)) => resolution.parse().map(SamplerChoice::Table),
+            _ => Err(format!(
+                "\"{text}\" is no sampler, expected lobes, table, table:paper or table:VIEWSxRINGSxSECTORS"
+            )),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn choices_are_read_as_they_are_documented() {
+        let table = |views, rings, sectors| {
+            SamplerChoice::Table(Resolution { views, rings, sectors, ..Resolution::DEFAULT })
+        };
+        assert_eq!("lobes".parse(), Ok(SamplerChoice::Lobes));
+        assert_eq!("table".parse(), Ok(SamplerChoice::Table(Resolution::DEFAULT)));
+        assert_eq!("table:paper".parse(), Ok(SamplerChoice::Table(Resolution::PAPER)));
+        assert_eq!("table:16x32x8".parse(), Ok(table(16, 32, 8)));
+        for wrong in ["tables", "table:", "table:16x32", "table:0x1x1", "table:9999x9999x9999", "lobes:4"] {
+            let message = wrong.parse::<SamplerChoice>().unwrap_err();
+            assert!(message.contains("expected"), "{message}");
+        }
+    }
+}
