@@ -99,7 +99,11 @@ enum ModelName {
     Neural,
 }
 
-fn parse_net(text: &str) -> Result<Net, String> {
+/// A size of a network as the command line spells it.
+///
+/// # Errors
+/// In words, another spelling or size.
+pub fn parse_net(text: &str) -> Result<Net, String> {
     let parts = text.split_once('x').and_then(|(width, layers)| {
         Some(Net { width: usize::from_str(width).ok()?, layers: usize::from_str(layers).ok()? })
     });

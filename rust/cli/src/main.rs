@@ -4,6 +4,7 @@
 
 mod add;
 mod check;
+mod bench;
 mod compare;
 mod convert;
 mod eval;
@@ -42,6 +43,7 @@ enum Command {
     Info(info::Arguments),
     Eval(eval::Arguments),
     Sample(sample::Arguments),
+    Bench(bench::Arguments),
     Convert(convert::Arguments),
     Compare(compare::Arguments),
     Check(check::Arguments),
@@ -82,6 +84,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Info(arguments) => info::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),
         Command::Sample(arguments) => sample::run(&arguments),
+        Command::Bench(bench) => bench::run(&bench, arguments.threads),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
