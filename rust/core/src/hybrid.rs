@@ -148,11 +148,11 @@ pub(crate) fn check_bound(bound: f32) -> Result<(), String> {
 pub struct Hybrid {
     form: Form,
     network: Arc<Network>,
-    microfacet: Microfacet,
+    pub(crate) microfacet: Microfacet,
     latent: Vec<f32>,
     bound: f32,
     /// The latent code folded into the network's first bias.
-    first_bias: Vec<Lane>,
+    pub(crate) first_bias: Vec<Lane>,
     sampler: Sampler,
 }
 
@@ -284,7 +284,7 @@ impl Kernel for Hybrid {
         let mut x = [[0.0; L]; MAX_INPUTS];
         let analytic = self.form.inputs_and_analytic(&self.microfacet, light, view, &mut x);
         let mut y = Rows::default();
-        self.network.forward_tile(isa, &self.first_bias, &x, &mut y);
+        self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
         let mut f = analytic;
         for c in 0..3 {
             let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + 3])];

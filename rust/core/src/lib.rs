@@ -12,6 +12,7 @@ pub mod lobes;
 pub mod material;
 pub mod math;
 pub mod microfacet;
+pub mod mixed;
 pub mod model;
 pub mod nbrdf;
 pub mod network;

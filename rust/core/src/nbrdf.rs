@@ -95,7 +95,7 @@ impl Kernel for Nbrdf {
             features[i].store(&mut x[i]);
         }
         let mut y = Rows::default();
-        self.network.forward_tile(isa, &self.first_bias, &x, &mut y);
+        self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
         let f = Vector::load3(isa, &[y[0], y[1], y[2]]);
         [radiance(f[0]), radiance(f[1]), radiance(f[2])]
     }

@@ -163,15 +163,15 @@ impl PackedLayer {
     fn forward_tile<I: Lanes<L>, const L: usize>(
         &self,
         isa: I,
-        bias: &[Lane],
+        bias: impl Bias<L>,
         x: &[[f32; L]],
         y: &mut Rows<L>,
         activation: Option<Activation>,
     ) {
         y.clear();
-        let bias = bias.as_flattened();
         let (blocks, x) = (self.by_rows.chunks_exact(self.inputs), &x[..self.inputs]);
-        for (weights, bias) in blocks.zip(bias.chunks_exact(ROW_BLOCK)) {
+        for (block, weights) in blocks.enumerate() {
+            let bias = bias.block(block);
             // The shapes of the same loop nest, with all accumulators in registers.
             match I::ROWS {
                 8 => forward_rows::<I, L, 8>(isa, weights, 0, bias, x, y, activation),
@@ -243,14 +243,14 @@ fn forward_rows<I: Lanes<L>, const L: usize, const ROWS: usize>(
     isa: I,
     weights: &[[f32; ROW_BLOCK]],
     first: usize,
-    bias: &[f32],
+    bias: impl Bias<L>,
     x: &[[f32; L]],
     y: &mut Rows<L>,
     activation: Option<Activation>,
 ) {
     let mut sums = [isa.splat(0.0); ROWS];
     for r in 0..ROWS {
-        sums[r] = isa.splat(bias[first + r]);
+        sums[r] = bias.row(isa, first + r);
     }
     for (weights, x) in weights.iter().zip(x) {
         let x = isa.load(x);
@@ -264,6 +264,40 @@ fn forward_rows<I: Lanes<L>, const L: usize, const ROWS: usize>(
             None => sums[r],
         };
         y.push(isa, sum);
+    }
+}
+
+/// What the sums of a layer begin with.
+pub trait Bias<const L: usize>: Copy {
+    /// From a block of [`ROW_BLOCK`] rows on.
+    fn block(self, block: usize) -> Self;
+    /// One row.
+    fn row<I: Lanes<L>>(self, isa: I, row: usize) -> I::Vector;
+}
+
+/// The same in every lane: `[vector][row]`.
+impl<const L: usize> Bias<L> for &[f32] {
+    #[inline(always)]
+    fn block(self, block: usize) -> Self {
+        &self[block * ROW_BLOCK..][..ROW_BLOCK]
+    }
+
+    #[inline(always)]
+    fn row<I: Lanes<L>>(self, isa: I, row: usize) -> I::Vector {
+        isa.splat(self[row])
+    }
+}
+
+/// Another in every lane: `[row][lane]`.
+impl<const L: usize> Bias<L> for &[[f32; L]] {
+    #[inline(always)]
+    fn block(self, block: usize) -> Self {
+        &self[block * ROW_BLOCK..][..ROW_BLOCK]
+    }
+
+    #[inline(always)]
+    fn row<I: Lanes<L>>(self, isa: I, row: usize) -> I::Vector {
+        isa.load(&self[row])
     }
 }
 
@@ -445,12 +479,13 @@ impl Network {
     }
 
     /// Evaluates `L` samples side by side: `x[feature][lane]` to `y[output][lane]`, `first_bias` from
-    /// [`Network::fold`]. `y` may have a few rows more than [`Network::outputs`].
+    /// [`Network::fold`], flat, or such values for every lane. `y` may have a few rows more than
+    /// [`Network::outputs`].
     #[inline(always)]
     pub fn forward_tile<I: Lanes<L>, const L: usize>(
         &self,
         isa: I,
-        first_bias: &[Lane],
+        first_bias: impl Bias<L>,
         x: &[[f32; L]],
         y: &mut Rows<L>,
     ) {
@@ -459,9 +494,12 @@ impl Network {
         // Layers alternate between the two buffers so that the last one yields to `y`.
         let [mut from, mut to] = if last.is_multiple_of(2) { [&mut hidden, y] } else { [y, &mut hidden] };
         for (i, layer) in self.packed.iter().enumerate() {
-            let bias = if i == 0 { first_bias } else { &layer.bias };
-            let x = if i == 0 { x } else { &from[..] };
-            layer.forward_tile(isa, bias, x, to, (i < last).then_some(self.activation));
+            let activation = (i < last).then_some(self.activation);
+            if i == 0 {
+                layer.forward_tile(isa, first_bias, x, to, activation);
+            } else {
+                layer.forward_tile(isa, layer.bias.as_flattened(), &from[..], to, activation);
+            }
             std::mem::swap(&mut from, &mut to);
         }
     }
@@ -548,7 +586,7 @@ pub(crate) mod tests {
 
     crate::dispatch! {
         fn forward_tile(isa, n: &Network, bias: &[Lane], x: &[Lane], y: &mut Rows<LANES>) {
-            n.forward_tile(isa, bias, x, y);
+            n.forward_tile(isa, bias.as_flattened(), x, y);
         }
     }
     crate::dispatch! {

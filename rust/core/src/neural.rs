@@ -196,7 +196,7 @@ impl Kernel for Neural {
             view[c].store(&mut x[3 + c]);
         }
         let mut y = Rows::default();
-        self.network.forward_tile(isa, &self.first_bias, &x, &mut y);
+        self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
         let f = Vector::load3(isa, &[y[0], y[1], y[2]]);
         [bounded_exp(f[0], self.bound), bounded_exp(f[1], self.bound), bounded_exp(f[2], self.bound)]
     }

@@ -18,7 +18,7 @@
 
 use std::ffi::c_void;
 
-use glimt_core::Brdf;
+use glimt_core::mixed;
 use glimt_core::simd::{LANES, Lane3};
 
 use crate::bridge::{Material, guarded};
@@ -125,39 +125,27 @@ impl Pairs {
         pairs
     }
 
-    /// Evaluates up to a tile of the pairs in the bit set `pending`, all of one material; returns the set of
-    /// those that it did.
+    /// Evaluates up to a tile of the pairs in the bit set `pending`, of materials that can share one;
+    /// returns the set of those that it did.
     fn eval_some<const N: usize>(&mut self, packet: &Packet<N>, pending: u32) -> u32 {
-        let material = packet.material(pending.trailing_zeros() as usize % N);
-        let (mut tile, mut len) = ([0; LANES], 0);
-        let (mut done, mut left) = (0, pending);
-        while left != 0 && len < LANES {
-            let pair = left.trailing_zeros() as usize;
-            left &= left - 1;
-            if std::ptr::eq(packet.material(pair % N), material) {
-                tile[len] = pair;
-                len += 1;
-                done |= 1 << pair;
-            }
-        }
-        let tile = &tile[..len];
+        let tile = Tile::choose(packet, pending);
         // Lanes beyond the pairs are directions of zero, which carry nothing.
         let mut light: Lane3 = [[0.0; LANES]; 3];
         let mut view: Lane3 = [[0.0; LANES]; 3];
         for c in 0..3 {
-            for (lane, &pair) in tile.iter().enumerate() {
+            for (lane, &pair) in tile.pairs[..tile.len].iter().enumerate() {
                 light[c][lane] = self.light[c][pair];
                 view[c][lane] = self.view[c][pair];
             }
         }
         let mut f: Lane3 = [[0.0; LANES]; 3];
-        material.eval_tile(&light, &view, &mut f);
+        tile.eval(&light, &view, &mut f);
         for c in 0..3 {
-            for (lane, &pair) in tile.iter().enumerate() {
+            for (lane, &pair) in tile.pairs[..tile.len].iter().enumerate() {
                 self.f[c][pair] = f[c][lane];
             }
         }
-        done
+        tile.set
     }
 
     fn store<const N: usize>(&self, packet: &mut Packet<N>) {
@@ -171,6 +159,54 @@ impl Pairs {
     }
 }
 
+/// The pairs that go into a tile, and their materials; pairs of one material are neighbours.
+struct Tile<'a> {
+    pairs: [usize; LANES],
+    materials: [&'a glimt_core::Material; LANES],
+    len: usize,
+    set: u32,
+}
+
+impl<'a> Tile<'a> {
+    /// As many of `pending` as can be evaluated with the first of them.
+    fn choose<const N: usize>(packet: &'a Packet<N>, mut pending: u32) -> Self {
+        let first = packet.material(pending.trailing_zeros() as usize % N);
+        let mut tile = Tile { pairs: [0; LANES], materials: [first; LANES], len: 0, set: 0 };
+        while pending != 0 && tile.len < LANES {
+            let material = packet.material(pending.trailing_zeros() as usize % N);
+            let fits = mixed::together(first, material);
+            let mut left = pending;
+            while left != 0 {
+                let pair = left.trailing_zeros() as usize;
+                left &= left - 1;
+                if std::ptr::eq(packet.material(pair % N), material) {
+                    pending &= !(1 << pair);
+                    if fits && tile.len < LANES {
+                        tile.push(pair, material);
+                    }
+                }
+            }
+        }
+        tile
+    }
+
+    fn push(&mut self, pair: usize, material: &'a glimt_core::Material) {
+        self.pairs[self.len] = pair;
+        self.materials[self.len] = material;
+        self.len += 1;
+        self.set |= 1 << pair;
+    }
+
+    /// f_r in every lane; those beyond the pairs hold no meaning.
+    fn eval(&self, light: &Lane3, view: &Lane3, f: &mut Lane3) {
+        let last = self.materials[self.len - 1];
+        let mut materials = self.materials;
+        // The rest goes with the last, so that it takes no pass of its own.
+        materials[self.len..].fill(last);
+        mixed::eval_tile(&materials, light, view, f);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
@@ -180,7 +216,7 @@ mod tests {
     use glimt_core::library::{Entry, Origin};
     use glimt_core::microfacet::Microfacet;
     use glimt_core::network::{Activation, Layer, Network};
-    use glimt_core::{Library, Vec3};
+    use glimt_core::{Brdf, Library, Vec3};
 
     use super::*;
     use crate::bridge::open;
