@@ -3,8 +3,8 @@
 //! Exit code 0: done; 1: failed, with one line on the standard error stream; 2: bad usage.
 
 mod add;
-mod check;
 mod bench;
+mod check;
 mod compare;
 mod convert;
 mod eval;
