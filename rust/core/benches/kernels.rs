@@ -25,7 +25,9 @@ fn hybrid(width: usize) -> glimt_core::Material {
     });
     let network = Network::new(layers.collect(), form.features(), Activation::HardGelu).expect("layers fit");
     let microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5; 3], alpha: [0.2; 2] };
-    Hybrid::new(form, Arc::new(network), microfacet, vec![0.1; 4], 2.0).expect("parameters are in range").into()
+    Hybrid::new(form, Arc::new(network), microfacet, vec![0.1; 4], 2.0)
+        .expect("parameters are in range")
+        .into()
 }
 
 fn directions(steps: [f32; 2]) -> Vec<Vec3> {
