@@ -11,8 +11,11 @@ Float32 = NDArray[np.float32]
 class Error(Exception):
     """A file that cannot be used, a material that is not there, or a parameter out of its range."""
 
-def load(path: str | PathLike[str]) -> Library:
-    """Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights."""
+def load(path: str | PathLike[str], *, sampler: str | None = None) -> Library:
+    """Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights.
+
+    ``sampler`` gives all materials another sampler, see ``Material.with_sampler``.
+    """
 
 class Library:
     """The materials of a file. Immutable."""
@@ -70,6 +73,17 @@ class Material:
         """A copy with other parameters of its analytic part, and a sampler that follows them.
 
         kd and eta take three numbers, alpha two, and each also one number for all.
+        """
+    @property
+    def sampler(self) -> str:
+        """Name of the sampler: "lobes", "table" or "warp" (a measurement's own)."""
+    @property
+    def sampler_bytes(self) -> int:
+        """Bytes of the sampler's tables; 0 for lobes and for a measurement's own warp."""
+    def with_sampler(self, sampler: str) -> Material:
+        """A copy with another sampler, made for it now.
+
+        "lobes", "table", "table:paper" or "table:VIEWSxRINGSxSECTORS".
         """
     def eval(self, light: ArrayLike, view: ArrayLike) -> Float32:
         """f_r(light, view) in 1/sr, linear RGB, without the cosine: (n, 3), or (3,) for one pair.

@@ -77,6 +77,10 @@ typedef enum glimt_kind {
    * Tables over single angles, as Bagher et al. 2016.
    */
   GLIMT_KIND_FACTOR = 4,
+  /**
+   * A measured table as it is.
+   */
+  GLIMT_KIND_TABULATED = 5,
 } glimt_kind;
 
 /**
@@ -194,7 +198,7 @@ const char *glimt_library_name(const struct glimt_library *library, size_t index
 
 /**
  * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
- * "nbrdf" or "factor"; valid until the library is closed. NULL for NULL.
+ * "nbrdf" or "factor", and "tabulated" for a measurement; valid until the library is closed. NULL for NULL.
  */
 const char *glimt_library_kind(const struct glimt_library *library);
 

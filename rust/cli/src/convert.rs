@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
 use glimt_core::library::Entry;
-use glimt_core::{Brdf, Library};
+use glimt_core::{Library, Material};
 use glimt_files::Source;
 use glimt_measured::utia::Encoding;
 use rayon::prelude::*;
@@ -16,7 +16,8 @@ use crate::{Usage, inputs, output};
 ///
 /// OUT is a file, whose extension says the format, or a directory, into which every material is written
 /// as a file of its own. MERL stores isotropic, reciprocal materials: the half vector stays in one plane,
-/// and both orders of light and view are averaged. UTIA stores directions 15° and 7.5° apart.
+/// and both orders of light and view are averaged. RGL stores any material, and
+/// Mitsuba's own `measured` renders it. UTIA stores directions 15° and 7.5° apart.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Files, directories or globs to read, and last the file or directory to write
@@ -36,6 +37,8 @@ enum Format {
     Library,
     /// MERL table (.binary), 33 MB
     Merl,
+    /// RGL table (.bsdf), 4 MB if isotropic, else 29 MB
+    Rgl,
     /// UTIA table (.bin), 2 MB
     Utia,
 }
@@ -45,17 +48,18 @@ impl Format {
         match self {
             Format::Library => "safetensors",
             Format::Merl => "binary",
+            Format::Rgl => "bsdf",
             Format::Utia => "bin",
         }
     }
 
     fn of(path: &Path) -> Result<Format, Usage> {
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-        let formats = [Format::Library, Format::Merl, Format::Utia];
+        let formats = [Format::Library, Format::Merl, Format::Rgl, Format::Utia];
         formats.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension())).ok_or_else(|| {
             Usage(format!(
-                "the extension of {} names no format that can be written; expected .safetensors, .binary or \
-                 .bin, or the format with --to",
+                "the extension of {} names no format that can be written; expected .safetensors, .bsdf, .binary \
+                 or .bin, or the format with --to",
                 path.display()
             ))
         })
@@ -83,7 +87,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return write_tables(out, &materials, format);
     }
     match materials[..] {
-        [(_, brdf)] => write_table(out, brdf, format),
+        [(ref name, brdf)] => write_table(out, name, brdf, format),
         _ => bail!(
             "{} holds one material, but there are {}; name one with --material, or give a directory and --to",
             out.display(),
@@ -93,13 +97,13 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 }
 
 /// The materials of all sources by name, or those of that name.
-fn materials<'a>(sources: &'a [Source], only: Option<&str>) -> Result<Vec<(String, &'a dyn Brdf)>> {
+fn materials<'a>(sources: &'a [Source], only: Option<&str>) -> Result<Vec<(String, &'a Material)>> {
     let mut materials = Vec::new();
     for source in sources {
         let names = only.map_or_else(|| source.names(), |name| vec![name.to_owned()]);
         for name in names {
-            let brdf = source.brdf(Some(&name))?;
-            materials.push((name, brdf as &dyn Brdf));
+            let material = source.brdf(Some(&name))?;
+            materials.push((name, material));
         }
     }
     Ok(materials)
@@ -118,7 +122,7 @@ fn write_library(path: &Path, sources: Vec<Source>, only: Option<&str>) -> Resul
 }
 
 /// A file for each material.
-fn write_tables(directory: &Path, materials: &[(String, &dyn Brdf)], format: Format) -> Result<()> {
+fn write_tables(directory: &Path, materials: &[(String, &Material)], format: Format) -> Result<()> {
     let cannot_write = || format!("cannot write {}", directory.display());
     std::fs::create_dir_all(directory).with_context(cannot_write)?;
     let path = |name: &str| directory.join(format!("{name}.{}", format.extension()));
@@ -133,15 +137,19 @@ fn write_tables(directory: &Path, materials: &[(String, &dyn Brdf)], format: For
     }
     let bar = output::progress_bar(materials.len(), "write");
     materials.par_iter().try_for_each(|(name, brdf)| {
-        write_table(&path(name), *brdf, format)?;
+        write_table(&path(name), name, brdf, format)?;
         bar.inc(1);
         Ok(())
     })
 }
 
-fn write_table(path: &Path, brdf: &dyn Brdf, format: Format) -> Result<()> {
+fn write_table(path: &Path, name: &str, brdf: &Material, format: Format) -> Result<()> {
     match format {
         Format::Merl => glimt_measured::write_merl(path, brdf)?,
+        Format::Rgl => {
+            let description = format!("{} model \"{name}\", written by glimt", brdf.kind());
+            glimt_measured::write_rgl(path, brdf, brdf.is_isotropic(), &description)?;
+        }
         Format::Utia => glimt_measured::write_utia(path, brdf, Encoding::default())?,
         Format::Library => unreachable!("a library is written as a whole"),
     }

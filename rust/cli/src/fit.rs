@@ -1,5 +1,6 @@
 //! `glimt fit`: from measurements to a model library.
 
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -16,6 +17,7 @@ use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
 
 use crate::fitting::{self, Watch};
+use crate::simulated::Simulated;
 use crate::{Usage, inputs, output};
 
 /// Fit one model library to measurements
@@ -28,8 +30,15 @@ use crate::{Usage, inputs, output};
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Files, directories or globs to fit to
-    #[arg(required = true, value_name = "FILE")]
+    #[arg(required_unless_present = "from_mitsuba", value_name = "FILE")]
     files: Vec<PathBuf>,
+    /// Fit to a BSDF of Mitsuba, evaluated by Mitsuba: a scene, or a JSON dictionary of a BSDF. Needs Python
+    /// with mitsuba
+    #[arg(long, value_name = "SCENE.xml|BSDF.json", conflicts_with = "files")]
+    from_mitsuba: Option<PathBuf>,
+    /// The id of the BSDF; not needed where the file has one
+    #[arg(long, value_name = "ID", requires = "from_mitsuba")]
+    bsdf: Option<String>,
     /// Library to write
     #[arg(short, long, value_name = "LIB.safetensors")]
     output: PathBuf,
@@ -65,8 +74,8 @@ pub struct Arguments {
     /// Leave the loss of the analytic part out (hybrid)
     #[arg(long)]
     no_analytic_loss: bool,
-    /// Scattered samples (.csv, .npy) are of an anisotropic material; isotropic if not given. The other
-    /// formats tell
+    /// Scattered samples (.csv, .npy) and BSDFs of Mitsuba are of an anisotropic material. Without it, samples
+    /// are isotropic, and Mitsuba tells; the other formats do, too
     #[arg(long)]
     anisotropic: bool,
     /// Steps of the optimiser (hybrid and neural; the analytic part always takes its own 1,500)
@@ -204,10 +213,26 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let checkpoint_path = checkpoint_path(path);
     let resume = arguments.resume.then(|| Checkpoint::open(&checkpoint_path)).transpose()?;
     let sources = inputs::open(&arguments.files)?;
-    let inputs = fitting::inputs(&sources, &fitting::command(&arguments.files), !arguments.anisotropic)?;
+    let command = fitting::command(&[&arguments.files[..], arguments.from_mitsuba.as_slice()].concat());
+    let simulated = arguments
+        .from_mitsuba
+        .as_ref()
+        .map(|scene| Simulated::start(scene, arguments.bsdf.as_deref(), &command))
+        .transpose()?;
+    let inputs = match &simulated {
+        Some(bsdf) => vec![bsdf.input(arguments.anisotropic)],
+        None => fitting::inputs(&sources, &command, !arguments.anisotropic)?,
+    };
+    let simulation_goes_on = || match simulated.as_ref().and_then(Simulated::failure) {
+        Some(failure) => bail!("{failure}"),
+        None => Ok(()),
+    };
 
     let mut watch = Watch::new()?;
-    let outcome = fit(&inputs, &options, resume, &mut |progress, state| watch.report(progress, state))?;
+    let outcome = fit(&inputs, &options, resume, &mut |progress, state| {
+        if simulation_goes_on().is_err() { ControlFlow::Break(()) } else { watch.report(progress, state) }
+    })?;
+    simulation_goes_on()?;
     let mut entries = match outcome {
         Outcome::Done(entries) => entries,
         Outcome::Stopped(None) => bail!("stopped before there was anything to save"),

@@ -14,6 +14,7 @@ mod info;
 mod inputs;
 mod output;
 mod sample;
+mod simulated;
 
 use std::process::ExitCode;
 

@@ -3,8 +3,9 @@
 //! The same way in as [`crate::packet`]: the convention of Embree's N-wide intersection functions, with
 //! the material's address in the fields `id` and `flags`. For a density the ray's origin is the light
 //! and its direction the view, and the answer comes back in the hit's u. For a sample the origin holds
-//! three random numbers and the direction the view; the light comes back in u, v and primitive (the last
-//! as the bits of a float), and its density, 0 for a failed sample, in the far end of the ray.
+//! three random numbers and the direction the view; the light comes back in u, v and primitive, and its
+//! density, 0 for a failed sample, in the geometry: the last two as the bits of a float. (What Dr.Jit reads
+//! from the far end of the ray is infinite unless the geometry says that there was a hit.)
 
 use std::ffi::c_void;
 
@@ -19,13 +20,14 @@ struct Packet<const N: usize> {
     _near: [f32; N],
     view: [[f32; N]; 3],
     _time: [f32; N],
-    far: [f32; N],
+    _far: [f32; N],
     _mask: [u32; N],
     address_low: [u32; N],
     address_high: [u32; N],
     _normal: [[f32; N]; 3],
     answer: [[f32; N]; 3],
-    _geometry_and_instance: [[u32; N]; 2],
+    density: [f32; N],
+    _instance: [u32; N],
 }
 
 type Function<const N: usize> =
@@ -96,7 +98,7 @@ unsafe extern "C" fn sample_packet<const N: usize>(
         for (answer, component) in packet.answer.iter_mut().zip(light.to_array()) {
             answer[lane] = component;
         }
-        packet.far[lane] = pdf;
+        packet.density[lane] = pdf;
     }
 }
 

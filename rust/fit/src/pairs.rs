@@ -17,7 +17,7 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::backprop::{BLOCK, COLUMNS, Row, ZERO_ROW};
+use crate::backprop::{BLOCK, Row, ZERO_ROW};
 
 /// A block of pairs, structure of arrays.
 #[derive(Clone)]
@@ -134,23 +134,33 @@ fn cosine(u1: f32, u2: f32) -> Vec3 {
     Vec3::new(r * phi.cos(), r * phi.sin(), (1.0 - u1).max(0.0).sqrt().max(LEAST_COS))
 }
 
+/// Blocks that are evaluated in one call: where a material lives in another process, every call costs.
+const BATCH: usize = 32;
+
 /// The material's values for every block.
 #[must_use]
 pub fn evaluate(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
-    blocks
-        .par_iter()
-        .map(|pairs| {
-            let mut target = [ZERO_ROW; 3];
-            for column in 0..COLUMNS {
-                let mut f = [[0.0; LANES]; 3];
-                brdf.eval_tile(&lanes(&pairs.light, column), &lanes(&pairs.view, column), &mut f);
-                for (target, f) in target.iter_mut().zip(f) {
-                    target[column] = f;
-                }
+    blocks.par_chunks(BATCH).flat_map_iter(|blocks| evaluate_batch(brdf, blocks)).collect()
+}
+
+fn evaluate_batch(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
+    let vectors = |rows: fn(&PairBlock) -> &[Row; 3]| -> Vec<Vec3> {
+        let at = |rows: &[Row; 3], i: usize| Vec3::from(rows.map(|row| row[i / LANES][i % LANES]));
+        blocks.iter().flat_map(|block| (0..BLOCK).map(move |i| at(rows(block), i))).collect()
+    };
+    let (light, view) = (vectors(|block| &block.light), vectors(|block| &block.view));
+    let mut f = vec![Vec3::ZERO; light.len()];
+    brdf.eval_batch(&light, &view, &mut f);
+    let target = |f: &[Vec3]| {
+        let mut target = [ZERO_ROW; 3];
+        for (i, f) in f.iter().enumerate() {
+            for (c, row) in target.iter_mut().enumerate() {
+                row[i / LANES][i % LANES] = f[c];
             }
-            target
-        })
-        .collect()
+        }
+        target
+    };
+    f.chunks_exact(BLOCK).map(target).collect()
 }
 
 #[cfg(test)]

@@ -7,10 +7,13 @@
 //! (the other half of φ_d is the same by reciprocity). The values answer for their whole bin in the
 //! database's own reader; here they stand at the bins' centres. Bins without data hold −1.
 
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::{FRAC_1_PI, FRAC_2_PI, FRAC_PI_2, PI};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
+use glimt_core::kernel::Kernel;
+use glimt_core::math::angle;
+use glimt_core::simd::{Isa, Lanes, Real, Vector};
 use glimt_core::tabulated::Table;
 use glimt_core::{Brdf, is_lit};
 
@@ -98,11 +101,22 @@ impl Merl {
         self.bins[(theta_half * BINS[1] + theta_diff) * BINS[2] + phi_diff]
     }
 
+    /// f at a position in units of bins.
+    #[inline]
+    fn at(&self, position: Vec3) -> Vec3 {
+        match self.interpolation {
+            Interpolation::Nearest => self.nearest(position),
+            Interpolation::Linear => self.linear(position),
+        }
+    }
+
+    #[inline]
     fn nearest(&self, position: Vec3) -> Vec3 {
         let [theta_half, theta_diff, phi_diff] = position.to_array().map(|x| x as usize);
         self.bin(theta_half.min(BINS[0] - 1), theta_diff.min(BINS[1] - 1), phi_diff.min(BINS[2] - 1))
     }
 
+    #[inline]
     fn linear(&self, position: Vec3) -> Vec3 {
         let (h0, h1, h) = between(position.x, BINS[0]);
         let (d0, d1, d) = between(position.y, BINS[1]);
@@ -113,17 +127,31 @@ impl Merl {
     }
 }
 
-impl Brdf for Merl {
-    #[inline]
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        if !is_lit(light, view) {
-            return Vec3::ZERO;
+impl Kernel for Merl {
+    #[inline(always)]
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let mut at = [[0.0; L]; 3];
+        for (lanes, coordinate) in at.iter_mut().zip(position(light, view)) {
+            coordinate.store(lanes);
         }
-        let position = position(light, view);
-        match self.interpolation {
-            Interpolation::Nearest => self.nearest(position),
-            Interpolation::Linear => self.linear(position),
+        let mut f = [[0.0; L]; 3];
+        for lane in 0..L {
+            let value = self.at(Vec3::new(at[0][lane], at[1][lane], at[2][lane]));
+            for c in 0..3 {
+                f[c][lane] = value[c];
+            }
         }
+        f.map(|channel| Vector::load(isa, &channel))
+    }
+
+    #[inline(always)]
+    fn eval_one<I: Isa>(&self, _: I, light: Vec3, view: Vec3) -> Vec3 {
+        self.at(position(light.to_array(), view.to_array()).into())
     }
 }
 
@@ -147,28 +175,35 @@ impl Table for Merl {
 }
 
 /// Rusinkiewicz' angles of a pair in units of bins: √(θ_h/90°)·90, θ_d/1°, φ_d/1° in [0, 180].
-#[inline]
-fn position(light: Vec3, view: Vec3) -> Vec3 {
-    let half = (light + view).normalize_or_zero();
-    let sin_theta_half = half.truncate().length();
-    let theta_half = sin_theta_half.atan2(half.z);
-    let theta_diff = (light - view).length().atan2((light + view).length());
+#[inline(always)]
+fn position<F: Real>(light: [F; 3], view: [F; 3]) -> [F; 3] {
+    let dot = |a: [F; 3], b: [F; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let sum = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+    let difference = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
+    let length = dot(sum, sum).sqrt();
+    let across = (sum[0] * sum[0] + sum[1] * sum[1]).sqrt();
+    let theta_half = angle(across, sum[2]);
+    let theta_diff = angle(dot(difference, difference).sqrt(), length);
 
     // The azimuth of the light about the half vector, from the plane of half vector and normal; that
     // plane is y = 0 if the two coincide.
-    let across = if sin_theta_half > 0.0 { half.truncate() / sin_theta_half } else { glam::Vec2::X };
-    let bitangent = Vec3::new(-across.y, across.x, 0.0);
-    let tangent = bitangent.cross(half);
-    let phi_diff = light.dot(bitangent).atan2(light.dot(tangent));
-    let phi_diff = if phi_diff < 0.0 { phi_diff + PI as f32 } else { phi_diff };
+    let zero = length.splat(0.0);
+    let is_tilted = zero.less(across);
+    let x = (sum[0] / across).or_else(is_tilted, length.splat(1.0));
+    let y = (sum[1] / across).or_else(is_tilted, zero);
+    let (sin_half, cos_half) = (across / length, sum[2] / length);
+    let along = (light[0] * x + light[1] * y) * cos_half - light[2] * sin_half;
+    let beside = light[1] * x - light[0] * y;
+    let phi_diff = angle(beside.max(-beside), along.max(-along));
+    // The other half of the circle is the same by reciprocity.
+    let phi_diff = (-(phi_diff - PI as f32)).or_else((along * beside).less(zero), phi_diff);
 
-    let quarter = FRAC_PI_2 as f32;
     let bins = BINS.map(|bins| bins as f32);
-    Vec3::new(
-        (theta_half / quarter).sqrt() * bins[0],
-        theta_diff / quarter * bins[1],
-        phi_diff / PI as f32 * bins[2],
-    )
+    [
+        (theta_half * FRAC_2_PI as f32).sqrt() * bins[0],
+        theta_diff * (FRAC_2_PI as f32 * bins[1]),
+        phi_diff * (FRAC_1_PI as f32 * bins[2]),
+    ]
 }
 
 /// The two bins whose centres enclose `x` (the last one alone beyond it) and the weight of the second.

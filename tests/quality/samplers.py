@@ -1,0 +1,92 @@
+"""Noise of each sampler on measurements: the variance of f cosθ / pdf, relative to the squared mean.
+
+    python tests/quality/samplers.py [DIRECTORY] [--plot samplers.png]
+
+For every RGL file of the directory and views from 0° to 80°, samples are drawn by the cosine, by the fitted
+lobes, by the measurement's own warp, and by tables; the figure is the mean over the views, which says how
+many samples per pixel a renderer needs under an even sky. The time to make a table and its bytes follow.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import glimt
+import numpy as np
+
+DIRECTORY = Path(__file__).parents[3] / "shared" / "data" / "rgl"
+SAMPLERS = ["cosine", "lobes", "warp", "table", "table:paper"]
+ANGLES = np.radians([0, 15, 30, 45, 60, 70, 80])
+SAMPLES = 40_000
+
+
+def weights(material, sampler, view, u):
+    """f cosθ / pdf, (n, 3)."""
+    if sampler != "cosine":
+        return material.sample(view, u)[2]
+    r, phi = np.sqrt(u[:, 1]), 2 * np.pi * u[:, 2]
+    light = np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u[:, 1])], axis=1)
+    return np.pi * material.eval(light.astype(np.float32), view)
+
+
+def relative_variance(material, sampler, rng):
+    """Mean over the views of the variance over the squared mean, of the mean of the channels."""
+    ratios = []
+    for theta in ANGLES:
+        view = np.array([np.sin(theta), 0, np.cos(theta)], np.float32)
+        weight = weights(material, sampler, view, rng.random((SAMPLES, 3), np.float32))
+        grey = weight.mean(axis=1, dtype=np.float64)
+        ratios.append(grey.var() / grey.mean() ** 2)
+    return float(np.mean(ratios))
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("directory", type=Path, nargs="?", default=DIRECTORY)
+    parser.add_argument("--plot", type=Path)
+    arguments = parser.parse_args()
+    files = sorted(arguments.directory.glob("*.bsdf"))
+    if not files:
+        parser.error(f"{arguments.directory} holds no .bsdf file")
+    table, cost = {}, {}
+    print(f"{'material':24}" + "".join(f"{sampler:>13}" for sampler in SAMPLERS))
+    for file in files:
+        warp = glimt.load(file).material()
+        row = []
+        for sampler in SAMPLERS:
+            material = warp
+            if sampler not in ("cosine", "warp"):
+                start = time.perf_counter()
+                material = warp.with_sampler(sampler)
+                cost.setdefault(sampler, []).append((time.perf_counter() - start, material.sampler_bytes))
+            row.append(relative_variance(material, sampler, np.random.default_rng(1)))
+        table[warp.name] = row
+        print(f"{warp.name:24}" + "".join(f"{value:13.3f}" for value in row), flush=True)
+    means = np.exp(np.mean(np.log(list(table.values())), axis=0))
+    print(f"{'geometric mean':24}" + "".join(f"{value:13.3f}" for value in means))
+    for sampler, values in cost.items():
+        seconds, size = np.median(values, axis=0)
+        print(f"{sampler}: made in {1e3 * seconds:.0f} ms, {int(size):,} bytes")
+    if arguments.plot:
+        plot(table, arguments.plot)
+
+
+def plot(table, path):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    values, places = np.array(list(table.values())), np.arange(len(table))
+    figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
+    for i, sampler in enumerate(SAMPLERS):
+        axes.plot(places, values[:, i], "o", label=sampler)
+    axes.set_yscale("log")
+    axes.set_ylabel("variance / mean²")
+    axes.set_xticks(places, list(table), rotation=40, ha="right")
+    axes.legend()
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Measurements and table samplers in Mitsuba, against the Python module, and exports for stock `measured`."""
+
+import subprocess
+from pathlib import Path
+
+import glimt
+import numpy as np
+import pytest
+from mitsuba_common import dr, hemisphere, interaction, load, mi, write_libraries
+
+MEASUREMENT = Path(__file__).parents[2] / "shared" / "data" / "rgl" / "chm_orange_rgb.bsdf"
+VIEWS = [(0.0, 0.0, 1.0), (0.48, 0.36, 0.8), (-0.86, 0.1, 0.5003)]
+
+
+@pytest.fixture(scope="module")
+def libraries(tmp_path_factory):
+    mi.set_variant("llvm_ad_rgb")
+    return write_libraries(tmp_path_factory.mktemp("libraries"))
+
+
+@pytest.fixture(scope="module")
+def tables(libraries, command_line, tmp_path_factory):
+    """Files of every measured format, written from models."""
+    directory = tmp_path_factory.mktemp("tables")
+    files = {}
+    for name, extension in [("ggx", "binary"), ("ggx", "bsdf"), ("brushed", "bin")]:
+        material = "brushed" if name == "brushed" else "metal"
+        file = directory / f"{material}.{extension}"
+        convert = [command_line, "convert", libraries[name], file, "--material", material]
+        subprocess.run(convert, check=True)
+        files[extension] = file
+    if MEASUREMENT.exists():
+        files["measurement"] = MEASUREMENT
+    return files
+
+
+def test_measurements_answer_as_in_python(tables):
+    for name, file in tables.items():
+        material, bsdf, ctx, n = glimt.load(file).material(), load(file, ""), mi.BSDFContext(), 3000
+        light, view = hemisphere(n, 1), hemisphere(n, 2)
+        si = interaction(view)
+        value, pdf = (np.array(x) for x in bsdf.eval_pdf(ctx, si, mi.Vector3f(light)))
+        assert np.allclose(value.T, material.eval(light.T, view.T) * light[2][:, None], rtol=2e-4), name
+        assert np.allclose(pdf, material.pdf(light.T, view.T), rtol=1e-5), name
+        u = np.random.default_rng(3).random((3, n), np.float32)
+        sample, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
+        direction, density, expected = material.sample(view.T, u.T)
+        valid = density > 0
+        assert np.array_equal(np.array(sample.pdf), density), name
+        assert np.allclose(np.array(sample.wo).T[valid], direction[valid], atol=1e-6), name
+        assert np.allclose(np.array(weight).T, expected, rtol=1e-3, atol=1e-6), name
+        assert "tabulated" in str(bsdf)
+
+
+def test_table_samples_follow_their_density(libraries, tables):
+    from mitsuba.chi2 import BSDFAdapter, ChiSquareTest, SphericalDomain
+
+    subjects = [
+        {"filename": str(libraries["hybrid"]), "material": "orange", "sampler": "table:12x24x16"},
+        {"filename": str(libraries["brushed"]), "material": "brushed", "sampler": "table:8x16x12"},
+        {"filename": str(tables["binary"])},
+    ]
+    rejected = []
+    for subject in subjects:
+        for view in VIEWS:
+            sample, pdf = BSDFAdapter("glimt", {"type": "glimt", **subject}, wi=list(view))
+            test = ChiSquareTest(
+                SphericalDomain(), sample, pdf, sample_dim=3, sample_count=200_000, res=50, ires=40
+            )
+            if not test.run(0.01, test_count=len(subjects) * len(VIEWS), quiet=True):
+                rejected.append((subject, view, test.messages))
+    assert not rejected, rejected
+
+
+def test_derivatives_of_directions_are_detached(tables):
+    bsdf, ctx = load(tables["binary"], ""), mi.BSDFContext()
+    si = interaction(hemisphere(8, 1))
+    light = mi.Vector3f(hemisphere(8, 2))
+    dr.enable_grad(light)
+    assert not dr.grad_enabled(bsdf.eval(ctx, si, light) / mi.Frame3f.cos_theta(dr.detach(light)))
+
+
+def test_an_unknown_sampler_is_named(libraries):
+    with pytest.raises(RuntimeError, match=r"tabel.*lobes, table"):
+        load(libraries["ggx"], "metal", sampler="tabel")
+
+
+def scene(bsdf):
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 2},
+            "sensor": {
+                "type": "perspective",
+                "fov": 20,
+                "to_world": mi.ScalarTransform4f().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}},
+            },
+            "sphere": {"type": "sphere", "bsdf": bsdf},
+            "key": {
+                "type": "sphere",
+                "center": [3, 4, 5],
+                "radius": 1.5,
+                "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [9, 9, 9]}},
+            },
+            "sky": {"type": "constant", "radiance": 0.5},
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("library", "material"), [("ggx", "metal"), ("hybrid", "orange"), ("brushed", "brushed")]
+)
+def test_stock_measured_renders_what_was_exported(libraries, command_line, tmp_path, library, material):
+    """Mean absolute difference of at most 1 % of the mean, noise aside."""
+    file = tmp_path / "exported.bsdf"
+    subprocess.run([command_line, "convert", libraries[library], file, "--material", material], check=True)
+    ours = scene({"type": "glimt", "filename": str(libraries[library]), "material": material})
+    stock = scene({"type": "measured", "filename": str(file)})
+    images = [np.array(mi.render(s, spp=2048, seed=1)) for s in (ours, stock)]
+    again = np.array(mi.render(ours, spp=2048, seed=2))
+    noise = np.abs(again - images[0]).mean()
+    error = np.abs(images[0] - images[1]).mean()
+    print(f"{library}/{material}: error {error / images[0].mean():.4f}, noise {noise / images[0].mean():.4f}")
+    assert error < noise + 0.01 * images[0].mean()
