@@ -138,9 +138,9 @@ def cooperative_vectors(path, lanes):
         # ReLU, which is less work than glimt's activation.
         modules += [nn.ReLU()] if i < 3 else []
     network = nn.Sequential(*modules).alloc(mi.TensorXf, 6)
-    weights, network = nn.pack(network, layout="inference")
+    network = nn.pack(network, layout="inference")
     x = [mi.Float(row) for row in np.random.default_rng(3).uniform(-1, 1, (6, lanes)).astype(np.float32)]
-    dr.eval(x, weights)
+    dr.eval(x, network)
 
     def run():
         dr.eval(list(network(nn.CoopVec(x))))
@@ -222,7 +222,7 @@ def main():
         for peer in PEERS:
             try:
                 tasks |= peer(path, arguments.lanes)
-            except (ImportError, AttributeError) as error:
+            except (ImportError, AttributeError, TypeError, RuntimeError) as error:
                 skipped.append(f"{peer.__name__}: {error}")
         result = {"machine": machine(), "lanes": arguments.lanes, "skipped": skipped, "peers": {}}
         print(result["machine"])
