@@ -33,11 +33,12 @@ class MitsubaSubject:
     include the cosine, and ``component`` is an index or None for all.
     """
 
-    def __init__(self, bsdf, name, promises=()):
+    def __init__(self, bsdf, name, promises=(), quick=False):
         import mitsuba
 
         self.mi, self.variant, self.bsdf = mitsuba, mitsuba.variant(), bsdf
-        self.is_slow = self.variant.startswith("scalar")
+        self.is_scalar = self.variant.startswith("scalar")
+        self.is_slow = self.is_scalar or quick
         self.name = f"{name} ({self.variant})"
         flags, names = int(bsdf.flags()), mitsuba.BSDFFlags
         self.claims = {
@@ -51,52 +52,59 @@ class MitsubaSubject:
         self.components = [component(mitsuba, int(bsdf.flags(i)), i) for i in range(count)]
 
     def response(self, component, light, view):
-        return self._ask("eval", component, light, view, self._colors)
+        return self._ask("eval", component, light, view)
 
     def pdf(self, component, light, view):
-        return self._ask("pdf", component, light, view, self._numbers)
+        return self._ask("pdf", component, light, view)
 
     def response_and_pdf(self, component, light, view):
-        return self._ask("eval_pdf", component, light, view, self._colors_and_numbers)
+        return self._ask("eval_pdf", component, light, view)
 
     def sample(self, component, view, u):
         self.mi.set_variant(self.variant)
         context = self._context(component)
-        if not self.is_slow:
+        if not self.is_scalar:
             si = self._interaction(view)
             sample, weight = self.bsdf.sample(
                 context, si, self.mi.Float(u[:, 0]), self.mi.Point2f(u[:, 1], u[:, 2])
             )
-            light = np.array(sample.wo).T
-            pdf, kinds, eta = (self._numbers(x) for x in (sample.pdf, sample.sampled_type, sample.eta))
-            weight = self._colors(weight)
+            light = np.broadcast_to(np.array(sample.wo).T, u.shape)
+            pdf, kinds, eta = (rows(x, len(u)) for x in (sample.pdf, sample.sampled_type, sample.eta))
+            weight = rows(self._colors(weight), len(u))
         else:
             si = self._interaction(view[:1])
             drawn = []
             for direction, (u0, u1, u2) in zip(view.tolist(), u.tolist()):
                 si.wi = direction
-                sample, weight = self.bsdf.sample(context, si, u0, (u1, u2))
+                sample, weight = self.bsdf.sample(context, si, u0, self.mi.Point2f(u1, u2))
                 drawn.append((*sample.wo, sample.pdf, sample.sampled_type, sample.eta, *self._color(weight)))
             drawn = np.array(drawn, np.float64).reshape(-1, 9)
             light, pdf, kinds, eta, weight = np.split(drawn, [3, 4, 5, 6], axis=1)
             pdf, kinds, eta = (x[:, 0] for x in (pdf, kinds, eta))
         # Mitsuba: "A zero spectrum indicates that sampling failed", and all else is undefined then.
         failed = np.all(weight == 0, axis=1)
-        pdf = np.where(failed & ~(np.isfinite(pdf) & np.isfinite(light).all(axis=1)), 0, pdf)
+        defined = (pdf >= 0) & np.isfinite(pdf) & np.isfinite(light).all(axis=1)
+        pdf = np.where(failed & ~defined, 0, pdf)
         names = self.mi.BSDFFlags
         delta = (kinds.astype(np.int64) & (int(names.Delta) | int(names.Delta1D))) != 0
         # Reflection has 1, which BSDFs written in Python tend to leave at 0.
         return light, pdf, weight, delta, np.where(eta == 0, 1, eta)
 
-    def _ask(self, method, component, light, view, convert):
+    def _ask(self, method, component, light, view):
+        """Values of eval, densities of pdf, or both of eval_pdf, for as many rows."""
         self.mi.set_variant(self.variant)
         context, ask = self._context(component), getattr(self.bsdf, method)
-        if not self.is_slow:
-            return convert(ask(context, self._interaction(view), self.mi.Vector3f(light.T)))
+        if not self.is_scalar:
+            answer = ask(context, self._interaction(view), self.mi.Vector3f(light.T))
+            if method == "pdf":
+                return rows(answer, len(view))
+            value, pdf = answer if method == "eval_pdf" else (answer, None)
+            value = rows(self._colors(value), len(view))
+            return value if pdf is None else (value, rows(pdf, len(view)))
         si, answers = self._interaction(view[:1]), []
         for towards, direction in zip(light.tolist(), view.tolist()):
             si.wi = direction
-            answers.append(ask(context, si, towards))
+            answers.append(ask(context, si, self.mi.Vector3f(towards)))
         if method == "pdf":
             return np.array(answers)
         if method == "eval":
@@ -115,12 +123,12 @@ class MitsubaSubject:
         import drjit as dr
 
         mi = self.mi
-        si = mi.SurfaceInteraction3f() if self.is_slow else dr.zeros(mi.SurfaceInteraction3f, len(view))
+        si = mi.SurfaceInteraction3f() if self.is_scalar else dr.zeros(mi.SurfaceInteraction3f, len(view))
         si.t, si.uv, si.n = 1.0, mi.Point2f(0.5, 0.5), mi.Normal3f(0, 0, 1)
         si.dp_du, si.dp_dv, si.sh_frame = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Frame3f([0, 0, 1])
         if mi.is_spectral:
             si.wavelengths = mi.UnpolarizedSpectrum(*WAVELENGTHS)
-        si.wi = view[0].tolist() if self.is_slow else mi.Vector3f(view.T)
+        si.wi = view[0].tolist() if self.is_scalar else mi.Vector3f(view.T)
         return si
 
     def _color(self, value):
@@ -139,12 +147,11 @@ class MitsubaSubject:
         """(channels, n) to (n, 3): one channel thrice, the first three of four."""
         return (np.repeat(channels, 3, axis=0) if len(channels) == 1 else channels[:3]).T
 
-    @staticmethod
-    def _numbers(value):
-        return np.atleast_1d(np.array(value))
 
-    def _colors_and_numbers(self, both):
-        return self._colors(both[0]), self._numbers(both[1])
+def rows(values, n):
+    """``n`` rows of what Dr.Jit may have kept as one, because all are the same."""
+    values = np.atleast_1d(np.array(values))
+    return np.broadcast_to(values, (n, *values.shape[1:]))
 
 
 def component(mi, flags, index):
@@ -171,7 +178,10 @@ def load(target, mi):
             description = json.loads(text)
         except json.JSONDecodeError:
             # Python's spelling, as people copy it from a script.
-            description = ast.literal_eval(text)
+            try:
+                description = ast.literal_eval(text)
+            except (SyntaxError, ValueError):
+                raise ValueError(f"{target} is not a description in JSON") from None
         return [(label(description), as_bsdf(mi, mi.load_dict(description), target))]
     path, _, wanted = text.partition("#")
     if Path(path).suffix != ".xml":
@@ -227,6 +237,9 @@ def parse(arguments):
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--html", metavar="PAGE.html", help="write a page with pictures")
+    parser.add_argument(
+        "--quick", action="store_true", help="ask JIT variants as little as scalar ones: seconds, less sharp"
+    )
     parser.add_argument("--samples", type=int, metavar="N", help="samples for each view")
     parser.add_argument("--seed", type=int, default=1, help="seed of the random numbers (default: 1)")
     return parser, parser.parse_args(arguments)
@@ -243,7 +256,7 @@ def subjects(options, mi):
             importlib.reload(module) if module else importlib.import_module(name)
         for target in options.targets:
             for name, bsdf in load(target, mi):
-                yield MitsubaSubject(bsdf, name, options.promise)
+                yield MitsubaSubject(bsdf, name, options.promise, options.quick)
 
 
 def main(arguments=None):

@@ -36,7 +36,8 @@ pub fn eval(subject: &dyn Subject, pairs: &Pairs) -> Answer<Finding> {
 }
 
 /// [`Test::ComponentsPdf`]: whether there are shares for `view`, none negative and 1 together at most, with
-/// which the densities of the components mix to that of the whole at all `lights`.
+/// which the densities of the components mix to that of the whole at all `lights`. A warning if not: a rough
+/// dielectric chooses between its components at each microfacet, so that its shares depend on the light.
 ///
 /// # Errors
 /// The subject's.
@@ -69,7 +70,7 @@ pub fn pdf(subject: &dyn Subject, view: View, lights: &[Vec3]) -> Answer<Finding
     }
     let together: f64 = shares.iter().sum();
     worst.add(together - 1.0, || format!("shares {shares:.4?} exceed 1"));
-    let mut finding = worst.finding(Test::ComponentsPdf, MIXTURE).at(view);
+    let mut finding = worst.finding(Test::ComponentsPdf, MIXTURE).warning().at(view);
     if finding.note.is_empty() {
         finding.note = format!("shares {shares:.3?}");
     }

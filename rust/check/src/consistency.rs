@@ -13,7 +13,7 @@ use crate::views::{random, uniform};
 pub const ROUNDING: f64 = 2e-3;
 /// Relative error of a sample's weight or density beyond which it is wrong. Narrow lobes turn the rounding
 /// of a sampled direction into a change of density.
-const OF_SAMPLE: f64 = 1e-2;
+pub const OF_SAMPLE: f64 = 1e-2;
 /// How far the length of a direction may be from 1.
 const LENGTH: f64 = 1e-4;
 
@@ -51,9 +51,13 @@ pub fn relative(a: f32, b: f32, floor: f32) -> f64 {
     if scale > 0.0 { f64::from((a - b).abs() / scale) } else { 0.0 }
 }
 
+/// Share of its brightest channel below which a channel is compared absolutely.
+const DARK: f32 = 1e-2;
+
 /// The greatest of [`relative`] over the channels.
 #[must_use]
 pub fn relative_rgb(a: Vec3, b: Vec3, floor: f32) -> f64 {
+    let floor = floor.max(DARK * a.max(b).max_element());
     (0..3).map(|c| relative(a[c], b[c], floor)).fold(0.0, f64::max)
 }
 

@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 use crate::cells::Cells;
+use crate::consistency::{FLOOR, OF_SAMPLE, relative};
 use crate::run::Options;
 use crate::subject::{Answer, Draw, Part, Subject};
 use crate::views::{View, random, uniform};
@@ -37,8 +38,8 @@ pub struct SampledAt {
 impl Look {
     /// Draws samples for `view` and cuts the sphere.
     ///
-    /// A sample failed if its density is 0, or if its weight is 0 and pdf() agrees that it cannot occur:
-    /// renderers drop both, and many BSDFs return what their formulas gave below the horizon.
+    /// A sample failed if its density is 0, or if its weight is 0 and pdf() knows nothing of it: renderers drop
+    /// both, and many BSDFs return what their formulas gave beyond the horizon.
     ///
     /// # Errors
     /// The subject's.
@@ -67,11 +68,9 @@ impl Look {
             let lights: Vec<Vec3> = smooth.iter().map(|draw| draw.light).collect();
             let (response, pdf) = subject.response_and_pdf(part, &lights, &vec![direction; lights.len()])?;
             let answers = smooth.into_iter().zip(response.into_iter().zip(pdf));
-            samples.extend(
-                answers
-                    .map(|(draw, (response, pdf))| SampledAt { draw, response, pdf })
-                    .filter(|at| at.pdf > 0.0 || at.draw.weight != Vec3::ZERO),
-            );
+            samples.extend(answers.map(|(draw, (response, pdf))| SampledAt { draw, response, pdf }).filter(
+                |at| at.draw.weight != Vec3::ZERO || relative(at.draw.pdf, at.pdf, FLOOR) < OF_SAMPLE,
+            ));
         }
         let lights: Vec<Vec3> = samples.iter().map(|at| at.draw.light).collect();
         let cells = Cells::new(subject, part, direction, &lights, options.samples, options.resolution)?;

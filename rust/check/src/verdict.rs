@@ -91,7 +91,9 @@ impl Test {
             Test::Unbiased => "Is the mean weight the integral of f·cosθ, which no sampler has touched?",
             Test::Coverage => "Is there a density wherever there is a response?",
             Test::ComponentsEval => "Do the responses of the components add up to the whole?",
-            Test::ComponentsPdf => "Is the density of the whole a mixture of those of the components?",
+            Test::ComponentsPdf => {
+                "Is the density of the whole a mixture of the components' with fixed shares?"
+            }
             Test::Reciprocity => "Is f(light, view) = f(view, light)?",
             Test::Isotropy => "Is f the same when both directions turn about the normal?",
             Test::Energy => "Does no more energy leave than arrives?",

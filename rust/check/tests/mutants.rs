@@ -258,7 +258,7 @@ const CAUGHT_BY: [(Bug, Test); 32] = [
     (Bug::SampleMissesHalf, Test::ChiSquared),
     (Bug::SampleReusesNumber, Test::ChiSquared),
     (Bug::ComponentsDoNotAddUp, Test::ComponentsEval),
-    (Bug::ComponentPdfWrong, Test::ComponentsPdf),
+    (Bug::ComponentPdfWrong, Test::ChiSquared),
     (Bug::ComponentSampleIgnored, Test::ChiSquared),
     (Bug::NotReciprocal, Test::Reciprocity),
     (Bug::NotIsotropic, Test::Isotropy),
