@@ -51,6 +51,10 @@ typedef enum glimt_status {
    * An error of glimt itself.
    */
   GLIMT_ERROR_INTERNAL = 6,
+  /**
+   * The file cannot be written.
+   */
+  GLIMT_ERROR_WRITE = 7,
 } glimt_status;
 
 /**

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use glimt_image::Image;
+use glimt_image::exr::Exr;
 use glimt_report::image::difference::Difference;
-use glimt_report::image::exr::Exr;
 use glimt_report::image::flip::{Shown, flip};
 use glimt_report::image::z_test::{Estimate, ZTest};
-use glimt_report::image::{Image, Rows};
 use serde::Serialize;
 
 use crate::output;
@@ -77,11 +77,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 
 /// The image with its variance, if the file has one.
 fn estimate(path: &Path) -> Option<Estimate> {
-    let whole = |prefix: &str| -> Option<Image> {
-        let exr = Exr::open(path, prefix).ok()?;
-        let [width, height] = exr.size();
-        Some(Image::new(width, exr.read(0..height).ok()?))
-    };
+    let whole = |prefix: &str| Image::hold(&Exr::open(path, prefix).ok()?).ok();
     Some(Estimate { variance: whole("variance.")?, mean: whole("")? })
 }
 

@@ -3,8 +3,8 @@
 mod common;
 
 use common::Folder;
-use glimt_report::image::Image;
-use glimt_report::image::exr::write;
+use glimt_image::Image;
+use glimt_image::exr::write;
 
 /// A ramp with as much noise as its variance says, and the variance.
 fn noisy(folder: &Folder, name: &str, seed: usize, factor: f32) {

@@ -33,6 +33,8 @@ pub enum glimt_status {
     GLIMT_ERROR_PARAMETER = 5,
     /// An error of glimt itself.
     GLIMT_ERROR_INTERNAL = 6,
+    /// The file cannot be written.
+    GLIMT_ERROR_WRITE = 7,
 }
 use glimt_status::*;
 
@@ -114,7 +116,7 @@ thread_local! {
 }
 
 /// Keeps the message for `glimt_last_error`.
-fn fail(status: glimt_status, message: impl Into<Vec<u8>>) -> glimt_status {
+pub(crate) fn fail(status: glimt_status, message: impl Into<Vec<u8>>) -> glimt_status {
     let mut message = message.into();
     message.retain(|&byte| byte != 0);
     // A thread that is ending has no place for messages left, and nobody who could ask for them.
@@ -122,7 +124,7 @@ fn fail(status: glimt_status, message: impl Into<Vec<u8>>) -> glimt_status {
     status
 }
 
-fn missing(argument: &str) -> glimt_status {
+pub(crate) fn missing(argument: &str) -> glimt_status {
     fail(GLIMT_ERROR_ARGUMENT, format!("{argument} is NULL"))
 }
 
@@ -148,7 +150,7 @@ fn fail_to_open(error: glimt_files::Error) -> glimt_status {
 }
 
 /// What `f` answers; a panic becomes a status, as it must not reach C.
-fn call(f: impl FnOnce() -> glimt_status) -> glimt_status {
+pub(crate) fn call(f: impl FnOnce() -> glimt_status) -> glimt_status {
     guarded(None, || Some(f())).unwrap_or_else(|| {
         fail(GLIMT_ERROR_INTERNAL, "internal error of glimt; the standard error stream says more")
     })
@@ -158,7 +160,7 @@ fn call(f: impl FnOnce() -> glimt_status) -> glimt_status {
 ///
 /// # Safety
 /// `text` is NULL or ends with a zero byte.
-unsafe fn string<'a>(text: *const c_char, argument: &str) -> Result<&'a str, glimt_status> {
+pub(crate) unsafe fn string<'a>(text: *const c_char, argument: &str) -> Result<&'a str, glimt_status> {
     if text.is_null() {
         return Err(missing(argument));
     }
@@ -171,7 +173,7 @@ unsafe fn string<'a>(text: *const c_char, argument: &str) -> Result<&'a str, gli
 ///
 /// # Safety
 /// `out` can be written.
-unsafe fn hand_out<T>(out: *mut *mut T, object: T) -> glimt_status {
+pub(crate) unsafe fn hand_out<T>(out: *mut *mut T, object: T) -> glimt_status {
     // SAFETY: the caller's promise.
     unsafe { *out = Box::into_raw(Box::new(object)) };
     GLIMT_OK

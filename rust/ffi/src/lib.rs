@@ -5,5 +5,6 @@
 
 mod bridge;
 pub mod c_api;
+pub mod image_api;
 mod packet;
 mod sampler_packet;

@@ -1,5 +1,5 @@
-//! `cpp/include/glimt/glimt.h` is generated from `src/c_api.rs` and checked in, so that a C program needs
-//! no Rust tool to read it. After a change of the interface:
+//! The headers in `cpp/include/glimt` are generated from `src/c_api.rs` and `src/image_api.rs` and checked in, so
+//! that a C program needs no Rust tool to read them. After a change of the interface:
 //!
 //! ```sh
 //! GLIMT_WRITE_HEADER=1 cargo test -p glimt-ffi --test c_header
@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-const PREAMBLE: &str = "\
+const BRDF_PREAMBLE: &str = "\
 /* glimt: compact and neural BRDFs, fitted to measured reflectance.
 
    A model library is opened once, and its materials answer f, pdf and samples. Objects are
@@ -24,14 +24,50 @@ const PREAMBLE: &str = "\
    Generated from rust/ffi/src/c_api.rs. */
 ";
 
-fn generate() -> String {
+const IMAGE_PREAMBLE: &str = "\
+/* Images of glimt: OpenEXR files for programs that render with it. What glimt.h says of pointers, strings and
+   errors holds here.
+
+   Generated from rust/ffi/src/image_api.rs. */
+";
+
+struct Header {
+    file: &'static str,
+    source: &'static str,
+    preamble: &'static str,
+    guard: &'static str,
+    system_includes: &'static [&'static str],
+    includes: &'static [&'static str],
+}
+
+const HEADERS: [Header; 2] = [
+    Header {
+        file: "glimt.h",
+        source: "c_api.rs",
+        preamble: BRDF_PREAMBLE,
+        guard: "GLIMT_H",
+        system_includes: &["stdbool.h", "stddef.h"],
+        includes: &[],
+    },
+    Header {
+        file: "image.h",
+        source: "image_api.rs",
+        preamble: IMAGE_PREAMBLE,
+        guard: "GLIMT_IMAGE_H",
+        system_includes: &["stddef.h"],
+        includes: &["glimt.h"],
+    },
+];
+
+fn generate(header: &Header) -> String {
     let config = cbindgen::Config {
         language: cbindgen::Language::C,
         cpp_compat: true,
-        header: Some(PREAMBLE.trim_end().to_owned()),
-        include_guard: Some("GLIMT_H".to_owned()),
+        header: Some(header.preamble.trim_end().to_owned()),
+        include_guard: Some(header.guard.to_owned()),
         no_includes: true,
-        sys_includes: ["stdbool.h", "stddef.h"].map(str::to_owned).to_vec(),
+        sys_includes: header.system_includes.iter().map(ToString::to_string).collect(),
+        includes: header.includes.iter().map(ToString::to_string).collect(),
         documentation_style: cbindgen::DocumentationStyle::Doxy,
         usize_is_size_t: true,
         line_length: 100,
@@ -41,24 +77,28 @@ fn generate() -> String {
         },
         ..cbindgen::Config::default()
     };
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/c_api.rs");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(header.source);
     let bindings = cbindgen::Builder::new().with_config(config).with_src(source).generate().unwrap();
-    let mut header = Vec::new();
-    bindings.write(&mut header);
-    String::from_utf8(header).unwrap()
+    let mut text = Vec::new();
+    bindings.write(&mut text);
+    String::from_utf8(text).unwrap()
 }
 
 #[test]
-fn header_is_current() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../cpp/include/glimt/glimt.h");
-    let header = generate();
-    if std::env::var_os("GLIMT_WRITE_HEADER").is_some() {
-        std::fs::write(&path, &header).unwrap();
+fn headers_are_current() {
+    for header in &HEADERS {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../cpp/include/glimt");
+        let path = folder.join(header.file);
+        let generated = generate(header);
+        if std::env::var_os("GLIMT_WRITE_HEADER").is_some() {
+            std::fs::write(&path, &generated).unwrap();
+        }
+        let checked_in = std::fs::read_to_string(&path).unwrap_or_default();
+        assert!(
+            checked_in == generated,
+            "{} is not what src/{} says; write it anew with GLIMT_WRITE_HEADER=1",
+            path.display(),
+            header.source
+        );
     }
-    let checked_in = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        checked_in == header,
-        "{} is not what src/c_api.rs says; write it anew with GLIMT_WRITE_HEADER=1",
-        path.display()
-    );
 }

@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::exposure::{automatic, shown};
-use super::{Band, Rgb, Rows, for_each_band};
+use glimt_image::{Rgb, Rows};
+
+use super::{Band, for_each_band};
 use crate::error::Error;
 
 /// How far an image is from the truth.
@@ -143,9 +145,9 @@ fn add_similarity(band: &Band, height: usize, mean: &mut Mean) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Image;
     use super::*;
     use approx::assert_relative_eq;
+    use glimt_image::Image;
 
     fn pattern(width: usize, height: usize, shift: f32) -> Image {
         let pixel = |i: usize| {

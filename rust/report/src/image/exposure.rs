@@ -1,6 +1,8 @@
 //! How bright an image is: order statistics of its values, exact and without holding them.
 
-use super::{Rgb, Rows, luminance};
+use glimt_image::{Rgb, Rows};
+
+use super::luminance;
 use crate::error::Error;
 
 /// Rows that are read at a time.
@@ -92,8 +94,8 @@ pub fn shown(pixel: Rgb, exposure: f32) -> Rgb {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Image;
     use super::*;
+    use glimt_image::Image;
 
     #[test]
     fn quantiles_are_those_of_the_sorted_values() {

@@ -5,7 +5,9 @@
 //! Range Images*.
 
 use super::exposure::{Of, quantiles};
-use super::{Band, Rgb, Rows, for_each_band};
+use glimt_image::{Rgb, Rows};
+
+use super::{Band, for_each_band};
 use crate::error::Error;
 
 /// Pixels per degree of a monitor of 0.7 m and 3840 pixels seen from 0.7 m, the papers' default.
@@ -321,10 +323,10 @@ fn redistribute(distance: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Image;
     use super::super::exposure::shown;
     use super::*;
     use approx::assert_abs_diff_eq;
+    use glimt_image::Image;
 
     const SIZE: [usize; 2] = [120, 90];
 

@@ -1,4 +1,4 @@
-//! Images and how far apart they are.
+//! How far images are apart.
 //!
 //! Everything here reads its images in bands of rows ([`Rows`]), so that memory holds a few rows of each
 //! however large they are. Values are linear sRGB radiance. A pixel that is not finite in either image counts
@@ -6,63 +6,14 @@
 
 pub mod difference;
 pub mod exposure;
-pub mod exr;
 pub mod flip;
 pub mod z_test;
 
 use std::ops::Range;
 
+use glimt_image::{Rgb, Rows};
+
 use crate::error::Error;
-
-/// A linear sRGB colour.
-pub type Rgb = [f32; 3];
-
-/// An image that can be read some rows at a time.
-pub trait Rows {
-    /// Width and height in pixels.
-    fn size(&self) -> [usize; 2];
-
-    /// The pixels of `rows`, row by row from the top.
-    ///
-    /// # Errors
-    /// What the file system or the format says.
-    fn read(&self, rows: Range<usize>) -> Result<Vec<Rgb>, Error>;
-}
-
-/// An image in memory.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Image {
-    width: usize,
-    pixels: Vec<Rgb>,
-}
-
-impl Image {
-    /// An image from its rows, top first.
-    ///
-    /// # Panics
-    /// If `pixels` are no whole number of rows.
-    #[must_use]
-    pub fn new(width: usize, pixels: Vec<Rgb>) -> Self {
-        assert!(width > 0 && pixels.len().is_multiple_of(width), "whole rows of pixels");
-        Image { width, pixels }
-    }
-
-    /// The pixels, row by row from the top.
-    #[must_use]
-    pub fn pixels(&self) -> &[Rgb] {
-        &self.pixels
-    }
-}
-
-impl Rows for Image {
-    fn size(&self) -> [usize; 2] {
-        [self.width, self.pixels.len() / self.width]
-    }
-
-    fn read(&self, rows: Range<usize>) -> Result<Vec<Rgb>, Error> {
-        Ok(self.pixels[rows.start * self.width..rows.end * self.width].to_vec())
-    }
-}
 
 /// Rows that are looked at together: enough to spread the cost of the halo.
 const BAND: usize = 64;

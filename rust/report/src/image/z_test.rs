@@ -7,7 +7,8 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use super::{Image, Rgb, Rows};
+use glimt_image::{Image, Rgb, Rows};
+
 use crate::error::Error;
 
 /// Pixels along the side of a block.

@@ -10,8 +10,7 @@ use exr::meta::attribute::SampleType;
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, WritableImage, f16};
 use smallvec::SmallVec;
 
-use super::{Image, Rgb, Rows};
-use crate::error::Error;
+use crate::{Error, Image, Rgb, Rows};
 
 /// Three channels of an OpenEXR file of one layer, in scan lines or tiles of any compression.
 #[derive(Clone, Debug)]
