@@ -86,30 +86,33 @@ struct Transform {
     }
 };
 
-/// Uniform numbers: O'Neill 2014, PCG-XSH-RR 64/32. Every pixel has a stream of its own, so that an image does
-/// not depend on the threads.
+/// Uniform numbers: O'Neill 2014, PCG-XSH-RR 64/32. Every pixel has a sequence of its own, so that an image does
+/// not depend on the threads; it begins at a state that is mixed well (Steele et al. 2014, SplitMix64), since
+/// sequences from neighbouring states are alike.
 class Random {
 public:
-    explicit Random(std::uint64_t stream, std::uint64_t seed) : increment_(2 * stream + 1) {
-        next();
-        state_ += seed;
-        next();
-    }
+    Random(std::uint64_t pixel, std::uint64_t seed) : state_(mix(pixel + mix(seed))) {}
 
     /// In [0, 1).
     float uniform() { return static_cast<float>(next() >> 8) * 0x1p-24f; }
 
 private:
+    static std::uint64_t mix(std::uint64_t z) {
+        z += 0x9e3779b97f4a7c15ULL;
+        z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ULL;
+        z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
+        return z ^ (z >> 31);
+    }
+
     std::uint32_t next() {
         const std::uint64_t old = state_;
-        state_ = old * 6364136223846793005ULL + increment_;
+        state_ = old * 6364136223846793005ULL + 1442695040888963407ULL;
         const auto shifted = static_cast<std::uint32_t>(((old >> 18) ^ old) >> 27);
         const auto turn = static_cast<std::uint32_t>(old >> 59);
         return (shifted >> turn) | (shifted << ((-turn) & 31));
     }
 
-    std::uint64_t state_ = 0;
-    std::uint64_t increment_;
+    std::uint64_t state_;
 };
 
 /// A cosine-distributed direction around +z (Malley's method).

@@ -265,8 +265,13 @@ private:
             else
                 refuse(child);
         }
-        if (!shape.bsdf)
-            shape.bsdf = std::make_shared<Diffuse>();
+        if (!shape.bsdf) {
+            // As in Mitsuba: a lamp reflects nothing unless it says what.
+            auto missing = std::make_shared<Diffuse>();
+            if (shape.emits())
+                missing->color = {};
+            shape.bsdf = missing;
+        }
         if (type == "sphere") {
             sphere.center = to_world.point(sphere.center);
             sphere.radius *= length(to_world.vector({1, 0, 0}));
