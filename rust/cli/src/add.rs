@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use glimt_core::Library;
 use glimt_fit::add::{ADD_STEPS, add};
+use glimt_fit::doubts;
 
 use crate::fitting::{self, Watch};
 use crate::{inputs, output};
@@ -44,8 +45,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
     let inputs = fitting::inputs(&sources, &fitting::command(&files), true)?;
 
+    for doubt in doubts(&inputs) {
+        eprintln!("warning: {doubt}");
+    }
     let mut watch = Watch::new()?;
-    let mut report = |progress: &_, state: &_| watch.report(progress, state);
+    let mut report = |progress: &_, _: Option<&_>| watch.report(progress);
     let Some(mut added) = add(&library, &inputs, arguments.steps, arguments.seed, &mut report)? else {
         bail!("stopped; {} is as it was", path.display());
     };

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
@@ -12,7 +13,7 @@ use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
 use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
 use glimt_fit::train::Schedule;
-use glimt_fit::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Outcome, fit};
+use glimt_fit::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Outcome, doubts, fit};
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
 
@@ -23,8 +24,8 @@ use crate::{Usage, inputs, output};
 /// Fit one model library to measurements
 ///
 /// The same files, options and seed give the same library, on any number of threads. An interrupt
-/// (Ctrl-C) stops the fit and saves a checkpoint beside the output; the same command with --resume goes
-/// on from it, to the same result. When the fit is done, its errors against the inputs are printed, over a
+/// (Ctrl-C) stops the fit and saves a checkpoint beside the output, and so does every minute of it; the same
+/// command with --resume goes on from it, to the same result. When the fit is done, its errors against the inputs are printed, over a
 /// million pairs of cosine-distributed directions, and stored in the library. Scattered samples are fitted to
 /// at their own directions, every sample counting the same, and the errors are the means over them.
 #[derive(clap::Args)]
@@ -116,7 +117,8 @@ pub fn parse_net(text: &str) -> Result<Net, String> {
     let parts = text.split_once('x').and_then(|(width, layers)| {
         Some(Net { width: usize::from_str(width).ok()?, layers: usize::from_str(layers).ok()? })
     });
-    parts.ok_or_else(|| "expected width times layers, as in 32x2".to_owned())
+    let net = parts.ok_or_else(|| "expected width times layers, as in 32x2".to_owned())?;
+    if net.is_supported() { Ok(net) } else { Err("expected 16, 32 or 64 times 2 or 3".to_owned()) }
 }
 
 /// A variant as library files spell it.
@@ -228,9 +230,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         None => Ok(()),
     };
 
+    for doubt in doubts(&inputs) {
+        eprintln!("warning: {doubt}");
+    }
     let mut watch = Watch::new()?;
+    let mut keeper = Keeper::new(&checkpoint_path);
     let outcome = fit(&inputs, &options, resume, &mut |progress, state| {
-        if simulation_goes_on().is_err() { ControlFlow::Break(()) } else { watch.report(progress, state) }
+        if simulation_goes_on().is_err() {
+            return ControlFlow::Break(());
+        }
+        if let Some(state) = state {
+            keeper.keep(|| Checkpoint::new(&inputs, &options, state.clone()));
+        }
+        watch.report(progress)
     })?;
     simulation_goes_on()?;
     let mut entries = match outcome {
@@ -252,11 +264,40 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     fitting::measure(&mut entries, &inputs);
     let library = Library::new(path, entries)?;
     library.save()?;
-    if arguments.resume {
+    if arguments.resume || keeper.kept {
         // The library is written, so that a checkpoint which stays does no harm.
         let _ = std::fs::remove_file(&checkpoint_path);
     }
     fitting::print_errors(path, library.entries(), arguments.json)
+}
+
+/// Keeps a checkpoint from time to time, for the case that the fit does not come to an end of its own.
+struct Keeper<'a> {
+    path: &'a Path,
+    last: Instant,
+    /// Whether there is a checkpoint of this fit.
+    kept: bool,
+}
+
+impl<'a> Keeper<'a> {
+    /// Time between checkpoints: what a crash costs at most.
+    const INTERVAL: Duration = Duration::from_secs(60);
+
+    fn new(path: &'a Path) -> Keeper<'a> {
+        Keeper { path, last: Instant::now(), kept: false }
+    }
+
+    fn keep(&mut self, checkpoint: impl FnOnce() -> Checkpoint) {
+        if self.last.elapsed() < Self::INTERVAL {
+            return;
+        }
+        self.last = Instant::now();
+        match checkpoint().save(self.path) {
+            Ok(()) => self.kept = true,
+            // A full disk need not be the end of the fit.
+            Err(error) => eprintln!("warning: {error}"),
+        }
+    }
 }
 
 /// Where an interrupted fit of this library is kept.

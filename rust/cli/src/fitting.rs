@@ -11,7 +11,7 @@ use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{Brdf, Material};
 use glimt_files::{Samples, Source, sha256};
-use glimt_fit::train::{Progress, State};
+use glimt_fit::train::Progress;
 use glimt_fit::{Input, Truth};
 use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
@@ -96,7 +96,7 @@ impl Watch {
     }
 
     /// What a fit calls every few steps.
-    pub fn report(&mut self, progress: &Progress, _: &State) -> ControlFlow<()> {
+    pub fn report(&mut self, progress: &Progress) -> ControlFlow<()> {
         if progress.step < self.step {
             self.bar.reset();
         }

@@ -263,3 +263,17 @@ fn check_passes_correct_materials_and_writes_table_json_and_page() {
         subjects[0]["findings"].as_array().unwrap().iter().filter(|finding| finding["p"].is_f64()).count();
     assert_eq!(report["p_values"], p);
 }
+
+#[test]
+fn what_is_hardly_meant_is_said() {
+    let folder = Folder::new();
+    std::fs::write(folder.path("black.csv"), "0,0,1,0,0,1,0,0,0\n").unwrap();
+    std::fs::write(folder.path("again.csv"), "0,0,1,0,0,1,0,0,0\n").unwrap();
+    let output =
+        folder.command(&["fit", "--model", "ggx", "black.csv", "again.csv", "-o", "x.safetensors"]).output();
+    let output = output.unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{stderr}");
+    assert!(stderr.contains("warning: material \"black\" is black"), "{stderr}");
+    assert!(stderr.contains("\"black\" and \"again\" come from files with the same content"), "{stderr}");
+}

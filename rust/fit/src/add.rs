@@ -6,13 +6,15 @@ use glimt_core::features::Inputs;
 use glimt_core::hybrid::Hybrid;
 use glimt_core::library::{Entry, Library, Origin};
 use glimt_core::network::Activation;
+use serde::Deserialize;
 
 use crate::backprop::Shape;
 use crate::error::Error;
-use crate::fit::{Input, Judge, Watch, best_of, check_materials, fit_analytic, hybrid_materials, total_loss};
+use crate::fit::{
+    Input, Judge, Watch, best_of, check_materials, fit_analytic, hybrid_materials, to_json, total_loss,
+};
 use crate::hybrid::{HybridObjective, Sharing};
-use crate::loss::Loss;
-use crate::options::{HybridOptions, Net};
+use crate::options::{HybridOptions, Net, Recipe};
 use crate::pairs::Drawing;
 use crate::train::Schedule;
 use crate::truth::Truth;
@@ -60,8 +62,7 @@ pub fn add(
         let reason = format!("{} already has a material \"{}\"", library.path().display(), input.name);
         return Err(Error::Options(reason));
     }
-    let paper = form.inputs == Inputs::Cartesian;
-    let recipe = HybridOptions::shared(Net { width: 0, layers: 0 }, first.latent().len());
+    let recipe = recipe(library, form.inputs)?;
     let isotropic = inputs.iter().all(|input| input.isotropic);
     let layers = first.network().layers();
     let hidden: Vec<usize> = layers[..layers.len() - 1].iter().map(|layer| layer.outputs()).collect();
@@ -71,9 +72,9 @@ pub fn add(
         shape: Shape::new(layers[0].inputs(), &hidden, form.composition.outputs(), Activation::HardGelu),
         latent: first.latent().len(),
         isotropic,
-        loss: if paper { Loss::PAPER } else { recipe.loss },
-        analytic_loss: if paper { Some(Loss::PAPER) } else { recipe.analytic_loss },
-        joint: paper,
+        loss: recipe.loss,
+        analytic_loss: recipe.analytic_loss,
+        joint: recipe.joint,
     };
     let schedule = Schedule { rate: 0.02, freeze_shared: true, ..Schedule::standard(steps, seed) };
     let truths: Vec<Truth> = inputs.iter().map(|input| input.truth).collect();
@@ -103,10 +104,28 @@ pub fn add(
             made.bound(),
         )
         .expect("the same network and numbers made a material before");
-        let origin = Origin { seed: Some(seed), steps: Some(steps), ..input.origin.clone() };
+        let recipe = Some(to_json(&recipe));
+        let origin = Origin { seed: Some(seed), steps: Some(steps), recipe, ..input.origin.clone() };
         Entry { name: input.name.clone(), material: Material::Hybrid(material), origin }
     };
     Ok(Some(inputs.iter().zip(materials).map(entry).collect()))
+}
+
+/// What the library was fitted with; for one that does not say, the paper's recipe if it has the paper's
+/// inputs, and else glimt's own.
+fn recipe(library: &Library, inputs: Inputs) -> Result<Recipe, Error> {
+    if let Some(recipe) = &library.entries()[0].origin.recipe {
+        return Recipe::deserialize(recipe).map_err(|e| {
+            let path = library.path().display();
+            Error::Options(format!("the recipe in {path} is of another version of glimt: {e}"))
+        });
+    }
+    let (net, latent) = (Net { width: 0, layers: 0 }, 0);
+    let options = match inputs {
+        Inputs::Cartesian => HybridOptions::paper(net, latent),
+        _ => HybridOptions::shared(net, latent),
+    };
+    Ok(options.recipe())
 }
 
 /// Starts for a new material: its analytic fit with the codes of the library that suit it best.

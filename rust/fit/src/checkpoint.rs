@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::adamw::Moments;
 use crate::error::Error;
+use crate::fit::{Input, identities};
 use crate::options::Options;
 use crate::train::State;
 
@@ -36,6 +37,12 @@ struct Header {
 const KEY: &str = "glimt-checkpoint";
 
 impl Checkpoint {
+    /// Of a fit of `inputs` that has come to `state`.
+    #[must_use]
+    pub fn new(inputs: &[Input], options: &Options, state: State) -> Checkpoint {
+        Checkpoint { options: options.clone(), materials: identities(inputs), state }
+    }
+
     /// Writes the checkpoint: whole, or not at all.
     ///
     /// # Errors
@@ -64,8 +71,24 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Checkpoint`].
     pub fn open(path: &Path) -> Result<Self, Error> {
-        let bytes = std::fs::read(path).map_err(|e| failed(path, format!("cannot be read: {e}")))?;
-        decode(&bytes).map_err(|reason| failed(path, reason))
+        let bytes = std::fs::read(path).map_err(|e| {
+            let hint = match e.kind() {
+                std::io::ErrorKind::NotFound => {
+                    "; no fit of this output was interrupted: leave --resume out to start one"
+                }
+                _ => "",
+            };
+            failed(path, format!("cannot be read: {e}{hint}"))
+        })?;
+        Checkpoint::from_bytes(&bytes).map_err(|reason| failed(path, reason))
+    }
+
+    /// Decodes the bytes of a checkpoint.
+    ///
+    /// # Errors
+    /// In words, what was found and what was expected.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        decode(bytes)
     }
 }
 

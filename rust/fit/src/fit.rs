@@ -1,6 +1,7 @@
 //! From materials to a model library.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -22,7 +23,7 @@ use crate::hybrid::{HybridObjective, Sharing};
 use crate::loss::Loss;
 use crate::neural::NeuralObjective;
 use crate::objective::Objective;
-use crate::options::{Model, Options};
+use crate::options::{Model, Options, Recipe};
 use crate::pairs::{self, Drawing, PairBlock, TargetBlock};
 use crate::train::{End, MAX_BLOCKS, Progress, Schedule, State, train};
 use crate::truth::Truth;
@@ -47,8 +48,9 @@ pub enum Outcome {
     Stopped(Option<Checkpoint>),
 }
 
-/// Looks at a fit as it goes and may stop it.
-pub type Watch<'a> = dyn FnMut(&Progress, &State) -> ControlFlow<()> + 'a;
+/// Looks at a fit as it goes and may stop it. The state is what a [`Checkpoint`] keeps; there is none in
+/// the fit of the analytic part that comes before.
+pub type Watch<'a> = dyn FnMut(&Progress, Option<&State>) -> ControlFlow<()> + 'a;
 
 /// Fits one library to all `inputs`; goes on from `resume` if it is given.
 ///
@@ -86,8 +88,7 @@ pub fn fit(
         _ => Ok(()),
     };
     let stopped = |state: Option<State>| {
-        let checkpoint = |state| Checkpoint { options: options.clone(), materials, state };
-        Ok(Outcome::Stopped(state.map(checkpoint)))
+        Ok(Outcome::Stopped(state.map(|state| Checkpoint::new(inputs, options, state))))
     };
     let schedule = &options.schedule;
     let made = match &options.model {
@@ -110,7 +111,8 @@ pub fn fit(
                     State::new(start(&objective, &p, schedule.seed))
                 }
             };
-            if !run(&objective, &truths, schedule, &mut state, watch)? {
+            let mut whole = |progress: &Progress, state: &State| watch(progress, Some(state));
+            if !run(&objective, &truths, schedule, &mut state, &mut whole)? {
                 return stopped(Some(state));
             }
             hybrid_materials(&objective, &truths, &state.numbers, schedule)
@@ -121,22 +123,85 @@ pub fn fit(
             fits(objective.shared_len() + inputs.len() * objective.own_len())?;
             let initial = || State::new(objective.initial(schedule.seed, inputs.len()));
             let mut state = resumed.unwrap_or_else(initial);
-            if !run(&objective, &truths, schedule, &mut state, watch)? {
+            let mut whole = |progress: &Progress, state: &State| watch(progress, Some(state));
+            if !run(&objective, &truths, schedule, &mut state, &mut whole)? {
                 return stopped(Some(state));
             }
             neural_materials(&objective, &truths, &state.numbers, schedule)
         }
     };
     let materials: Vec<Material> = made.map_err(|_| Error::Diverged { step: schedule.steps })?;
+    let recipe = match &options.model {
+        Model::Hybrid(hybrid) => Some(to_json(&hybrid.recipe())),
+        Model::Ggx(_) | Model::Neural(_) => None,
+    };
     let entries = inputs.iter().zip(materials).map(|(input, material)| {
-        let origin =
-            Origin { seed: Some(schedule.seed), steps: Some(schedule.steps), ..input.origin.clone() };
+        let origin = Origin {
+            seed: Some(schedule.seed),
+            steps: Some(schedule.steps),
+            recipe: recipe.clone(),
+            ..input.origin.clone()
+        };
         Entry { name: input.name.clone(), material, origin }
     });
     Ok(Outcome::Done(entries.collect()))
 }
 
-fn identities(inputs: &[Input]) -> Vec<(String, String)> {
+pub(crate) fn to_json(recipe: &Recipe) -> serde_json::Value {
+    serde_json::to_value(recipe).expect("numbers always serialise")
+}
+
+/// Something that a fit goes on with, but that is hardly meant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Doubt {
+    /// All values that were looked at are 0.
+    Black {
+        /// The material.
+        material: String,
+    },
+    /// Two materials come from the same bytes.
+    Same {
+        /// The two materials.
+        materials: [String; 2],
+    },
+}
+
+impl std::fmt::Display for Doubt {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Doubt::Black { material } => {
+                write!(f, "material \"{material}\" is black: every value that was looked at is 0")
+            }
+            Doubt::Same { materials: [first, second] } => {
+                write!(f, "materials \"{first}\" and \"{second}\" come from files with the same content")
+            }
+        }
+    }
+}
+
+/// What is hardly meant about `inputs`.
+#[must_use]
+pub fn doubts(inputs: &[Input]) -> Vec<Doubt> {
+    let mut doubts = Vec::new();
+    let mut seen: HashMap<(&str, usize), &str> = HashMap::new();
+    for input in inputs {
+        if input.truth.is_black() {
+            doubts.push(Doubt::Black { material: input.name.clone() });
+        }
+        // Materials of one library have the same file and are told apart by their place in it.
+        let place = inputs.iter().take_while(|other| other.name != input.name);
+        let place = place.filter(|other| other.origin.source == input.origin.source).count();
+        if input.origin.sha256.is_empty() {
+            continue;
+        }
+        if let Some(first) = seen.insert((&input.origin.sha256, place), &input.name) {
+            doubts.push(Doubt::Same { materials: [first.to_owned(), input.name.clone()] });
+        }
+    }
+    doubts
+}
+
+pub(crate) fn identities(inputs: &[Input]) -> Vec<(String, String)> {
     inputs.iter().map(|input| (input.name.clone(), input.origin.sha256.clone())).collect()
 }
 
@@ -154,7 +219,7 @@ fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
         Model::Neural(neural) => Some((neural.net, neural.latent)),
     };
     if let Some((net, latent)) = net {
-        if !matches!(net.width, 16 | 32 | 64) || !matches!(net.layers, 2 | 3) {
+        if !net.is_supported() {
             let found = format!("{}x{}", net.width, net.layers);
             return Err(Error::Options(format!(
                 "the network is {found}, expected 16, 32 or 64 times 2 or 3"
@@ -194,7 +259,7 @@ fn run<O: Objective>(
     truths: &[Truth],
     schedule: &Schedule,
     state: &mut State,
-    watch: &mut Watch,
+    watch: &mut dyn FnMut(&Progress, &State) -> ControlFlow<()>,
 ) -> Result<bool, Error> {
     match train(objective, truths, schedule, state, watch) {
         End::Finished => Ok(true),
@@ -238,7 +303,7 @@ pub(crate) fn best_of<O: Objective>(
     let repeated: Vec<Truth> = owners.iter().map(|&i| truths[i]).collect();
     let numbers = shared.iter().copied().chain(candidates.into_iter().flatten().flatten()).collect();
     let mut state = State::new(numbers);
-    if !run(objective, &repeated, schedule, &mut state, watch)? {
+    if !run(objective, &repeated, schedule, &mut state, &mut |progress, _| watch(progress, None))? {
         return Ok(None);
     }
     let judge = Judge::new(schedule.drawing, schedule.seed, JUDGE_BLOCKS);

@@ -24,6 +24,6 @@ pub mod truth;
 
 pub use add::add;
 pub use error::Error;
-pub use fit::{Input, Outcome, Watch, fit};
-pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options};
+pub use fit::{Doubt, Input, Outcome, Watch, doubts, fit};
+pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Recipe};
 pub use truth::Truth;

@@ -43,6 +43,12 @@ pub struct Net {
 }
 
 impl Net {
+    /// Whether fits offer it: 16, 32 or 64 neurons in 2 or 3 layers.
+    #[must_use]
+    pub fn is_supported(self) -> bool {
+        matches!(self.width, 16 | 32 | 64) && matches!(self.layers, 2 | 3)
+    }
+
     pub(crate) fn hidden(self) -> Vec<usize> {
         vec![self.width; self.layers]
     }
@@ -63,6 +69,18 @@ pub struct HybridOptions {
     pub analytic_input: bool,
     /// How f is made of its outputs.
     pub composition: Composition,
+    /// Loss of f.
+    pub loss: Loss,
+    /// Loss of f_a.
+    pub analytic_loss: Option<Loss>,
+    /// Whether the loss of f moves k_d, η and α.
+    pub joint: bool,
+}
+
+/// What of a hybrid fit is not in the model that it makes, and what [`crate::add()`] goes on with. A library
+/// keeps it with every material.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
     /// Loss of f.
     pub loss: Loss,
     /// Loss of f_a.
@@ -121,6 +139,12 @@ impl HybridOptions {
     #[must_use]
     pub fn per_material(net: Net) -> Self {
         HybridOptions { sharing: Sharing::Material, latent: 0, ..Self::shared(net, 0) }
+    }
+
+    /// What a library keeps of the options.
+    #[must_use]
+    pub fn recipe(&self) -> Recipe {
+        Recipe { loss: self.loss, analytic_loss: self.analytic_loss, joint: self.joint }
     }
 
     /// The paper's inputs and loss.

@@ -62,6 +62,17 @@ impl Truth<'_> {
         }
     }
 
+    /// Whether all values are 0 where a fit looks first, or all samples.
+    pub(crate) fn is_black(&self) -> bool {
+        match *self {
+            Truth::Brdf(brdf) => {
+                let targets = evaluate(brdf, &draw(Drawing::Lobes, 0, 0, PROBE_BLOCKS));
+                targets.as_flattened().as_flattened().as_flattened().iter().all(|&f| f == 0.0)
+            }
+            Truth::Samples { f, .. } => f.iter().all(|&f| f == Vec3::ZERO),
+        }
+    }
+
     /// The pairs that a fit looks at in an epoch, and the values there. `drawn` is what [`draw`] gives for
     /// the same seed and epoch; a BRDF is evaluated there, samples are taken in as many blocks.
     #[must_use]

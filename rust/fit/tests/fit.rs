@@ -9,6 +9,7 @@ use glimt_core::library::{Entry, Library, Origin};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::{Brdf, Material, is_lit};
 use glimt_fit::checkpoint::Checkpoint;
+use glimt_fit::loss::Loss;
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
 use glimt_fit::train::Schedule;
 use glimt_fit::{
@@ -173,7 +174,7 @@ fn a_fit_that_was_stopped_goes_on_to_the_same_file() {
     let inputs = velvets();
     // Past the end of an epoch of pairs (2048 steps), which are then drawn anew.
     let options = hybrid(HybridOptions::shared(NET, 4), 2100);
-    let mut stop_in_the_second_epoch = |progress: &glimt_fit::train::Progress, _: &_| {
+    let mut stop_in_the_second_epoch = |progress: &glimt_fit::train::Progress, _: Option<&_>| {
         if progress.steps == 2100 && progress.step == 2050 {
             ControlFlow::Break(())
         } else {
@@ -190,7 +191,7 @@ fn a_fit_that_was_stopped_goes_on_to_the_same_file() {
     let read = Checkpoint::open(&path).unwrap();
     assert_eq!(read, checkpoint);
 
-    let mut watch = |_: &_, _: &_| ControlFlow::Continue(());
+    let mut watch = |_: &_, _: Option<&_>| ControlFlow::Continue(());
     let other = hybrid(HybridOptions::shared(NET, 4), 800);
     let refused = fit(&inputs, &other, Some(read.clone()), &mut watch).err().unwrap().to_string();
     assert!(refused.contains("other options"), "{refused}");
@@ -211,7 +212,7 @@ fn add_leaves_the_network_and_comes_close_to_the_joint_fit() {
     let joint = finish(&inputs, &hybrid(HybridOptions::shared(NET, 4), 1500));
     let two = finish(&inputs[..2], &hybrid(HybridOptions::shared(NET, 4), 1500));
     let library = Library::new("two", two).unwrap();
-    let mut watch = |_: &_, _: &_| ControlFlow::Continue(());
+    let mut watch = |_: &_, _: Option<&_>| ControlFlow::Continue(());
     let added = add(&library, &inputs[2..], 600, 1, &mut watch).unwrap().unwrap();
     let before = library.entries()[0].material.network().unwrap();
     assert!(std::ptr::eq(before, added[0].material.network().unwrap()));
@@ -292,6 +293,22 @@ fn every_model_is_fitted_to_448_scattered_samples() {
             log_mae(&TARGETS[1], material)
         );
     }
+}
+
+#[test]
+fn add_goes_on_with_the_recipe_of_the_library() {
+    let recipe = HybridOptions { loss: Loss::PAPER, joint: true, ..HybridOptions::shared(NET, 4) };
+    let mut entries = finish(&velvets(), &hybrid(recipe, 100));
+    let added = |entries: Vec<Entry>| {
+        let library = Library::new("recipe.safetensors", entries).unwrap();
+        let new = input("new", &Velvet { lobe: 1.0, width: 0.3 }, true);
+        add(&library, &[new], 100, 1, &mut |_, _| ControlFlow::Continue(())).unwrap().unwrap().remove(0)
+    };
+    let new = added(entries.clone());
+    assert_eq!(new.origin.recipe, entries[0].origin.recipe);
+    // A library of an older version does not say; then it is glimt's own, and another result.
+    entries.iter_mut().for_each(|entry| entry.origin.recipe = None);
+    assert_ne!(added(entries).material.latent(), new.material.latent());
 }
 
 #[test]

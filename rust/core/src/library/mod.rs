@@ -17,7 +17,7 @@
 //! | `azimuth` | (materials, 3, 180) | factor, naive |
 //! | `bivariate` | (materials, 90, 90, 3) | factor, bivariate |
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{SafeTensors, TensorView};
@@ -84,6 +84,9 @@ pub struct Origin {
     /// Licence of the source, where it is known.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub license: String,
+    /// What a fit minimised, as far as later fits to the same network need it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recipe: Option<Value>,
 }
 
 /// The JSON object in the file's metadata.
@@ -127,8 +130,9 @@ impl Library {
 
     fn check(&self) -> Result<(), String> {
         let first = &self.entries.first().ok_or("it holds no material")?.material;
-        for (i, entry) in self.entries.iter().enumerate() {
-            if self.entries[..i].iter().any(|other| other.name == entry.name) {
+        let mut names = HashSet::new();
+        for entry in &self.entries {
+            if !names.insert(entry.name.as_str()) {
                 return Err(format!("two materials are named \"{}\"", entry.name));
             }
             if architecture(&entry.material) != architecture(first) {
@@ -155,7 +159,16 @@ impl Library {
             std::fs::read(&path)
         };
         let bytes = read().map_err(|source| Error::Read { path: path.clone(), source })?;
-        let entries = decode(&bytes).map_err(|reason| Error::Format { path: path.clone(), reason })?;
+        Library::from_bytes(path, &bytes)
+    }
+
+    /// Decodes the bytes of a library; `path` is what messages name.
+    ///
+    /// # Errors
+    /// [`Error::Format`] with what was found and what was expected.
+    pub fn from_bytes(path: impl Into<PathBuf>, bytes: &[u8]) -> Result<Self, Error> {
+        let path = path.into();
+        let entries = decode(bytes).map_err(|reason| Error::Format { path: path.clone(), reason })?;
         Library::new(path, entries)
     }
 
