@@ -3,10 +3,11 @@
 #   make demo        install glimt into .venv and render the scenes to out/
 #   make test        formatting, lints and all tests but the long ones
 #   make test-long   the long ones
+#   make fuzz        every reader on hostile bytes, for a minute or two (fuzz/run goes on for longer)
 #   make clean       delete what the others made
 
 .DEFAULT_GOAL := demo
-.PHONY: demo install test test-long clean
+.PHONY: demo install test test-long fuzz clean
 
 PYTHON ?= python3
 VENV := $(CURDIR)/.venv
@@ -45,6 +46,9 @@ test: install
 test-long: install
 	cargo test --workspace --locked --release -- --ignored
 	python -m pytest -m long
+
+fuzz:
+	bash fuzz/run all 100000
 
 clean:
 	rm -rf $(VENV) build out target

@@ -20,7 +20,7 @@ use crate::lobes::Lobes;
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
 use crate::model::Model;
-use crate::network::{MAX_WIDTH, Network, Rows};
+use crate::network::{MAX_WIDTH, Network, Rows, check_latent};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -185,9 +185,7 @@ impl Hybrid {
                 network.latent()
             ));
         }
-        if !latent.iter().all(|z| z.is_finite()) {
-            return Err("the latent code is not finite".into());
-        }
+        check_latent(&latent)?;
         check_bound(bound)?;
         let first_bias = network.fold(&latent);
         let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };

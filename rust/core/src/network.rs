@@ -31,6 +31,16 @@ pub struct Layer {
 }
 
 impl Layer {
+    /// The largest magnitude that an output can have if no input's is above `input`.
+    pub(crate) fn largest_sum(&self, input: f64) -> f64 {
+        let rows = self.weight.chunks_exact(self.inputs().max(1)).zip(&self.bias);
+        let sums = rows.map(|(row, bias)| {
+            let weights: f64 = row.iter().map(|&w| f64::from(w).abs()).sum();
+            weights * input + f64::from(*bias).abs()
+        });
+        sums.fold(0.0, f64::max)
+    }
+
     /// Number of values that the layer yields.
     #[must_use]
     pub fn outputs(&self) -> usize {
@@ -353,6 +363,30 @@ pub struct Network {
     packed: Vec<PackedLayer>,
 }
 
+/// The largest input and latent number that a network must stand.
+pub(crate) const LARGEST_INPUT: f32 = 1e6;
+
+/// Whether a latent code is what a network can stand.
+pub(crate) fn check_latent(latent: &[f32]) -> Result<(), String> {
+    match latent.iter().find(|z| !(-LARGEST_INPUT..=LARGEST_INPUT).contains(*z)) {
+        Some(z) => Err(format!("the latent code holds {z}, expected numbers within ±{LARGEST_INPUT}")),
+        None => Ok(()),
+    }
+}
+
+/// Whether no input up to [`LARGEST_INPUT`] can make a sum overflow, after which infinities of both signs
+/// would meet and give NaN. The activations do not make a number larger.
+fn check_sums(layers: &[Layer]) -> Result<(), String> {
+    let mut largest = f64::from(LARGEST_INPUT);
+    for (i, layer) in layers.iter().enumerate() {
+        largest = layer.largest_sum(largest);
+        if largest > f64::from(f32::MAX) / 2.0 {
+            return Err(format!("layer {i} holds numbers so large that its sums overflow"));
+        }
+    }
+    Ok(())
+}
+
 impl Network {
     /// A network from its layers, first to last; the first takes `features` values and then a
     /// latent code.
@@ -360,7 +394,7 @@ impl Network {
     /// # Errors
     /// What does not fit together, in words: a layer whose inputs are not its predecessor's
     /// outputs, one wider than [`MAX_WIDTH`], a bias or weight of the wrong length, a non-finite
-    /// weight.
+    /// weight, or weights so large that sums of products overflow.
     pub fn new(layers: Vec<Layer>, features: usize, activation: Activation) -> Result<Self, String> {
         if layers.is_empty() {
             return Err("a network has at least one layer".into());
@@ -390,6 +424,7 @@ impl Network {
                 layers[0].inputs()
             ));
         }
+        check_sums(&layers)?;
         let (last, hidden) = (layers.len() - 1, activation.units());
         let packed = layers
             .iter()
@@ -665,5 +700,19 @@ pub(crate) mod tests {
         let mut broken = layer(6, 3);
         broken.weight[4] = f32::NAN;
         assert!(new(vec![broken]).contains("not finite"));
+    }
+
+    #[test]
+    fn weights_whose_sums_overflow_are_refused() {
+        let network = |weight: f32| {
+            let layer = |inputs: usize, outputs: usize| Layer {
+                weight: vec![weight; inputs * outputs],
+                bias: vec![0.0; outputs],
+            };
+            Network::new(vec![layer(6, 16), layer(16, 16), layer(16, 3)], 6, Activation::HardGelu)
+        };
+        // The limit of float16, in which models may come.
+        assert!(network(65_504.0).is_ok());
+        assert!(network(1e12).unwrap_err().contains("overflow"));
     }
 }

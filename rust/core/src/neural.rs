@@ -17,7 +17,7 @@ use crate::kernel::Kernel;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
-use crate::network::{Layer, MAX_WIDTH, Network, Rows};
+use crate::network::{LARGEST_INPUT, Layer, MAX_WIDTH, Network, Rows, check_latent};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -79,8 +79,10 @@ impl Neural {
                 latent.len()
             ));
         }
-        if !latent.iter().all(|z| z.is_finite()) {
-            return Err("the latent code is not finite".into());
+        check_latent(&latent)?;
+        // Lengths of the frames' axes are squared.
+        if shared.frames.largest_sum(LARGEST_INPUT.into()) > f64::from(f32::MAX).sqrt() / 2.0 {
+            return Err("the frame layer holds numbers so large that its sums overflow".into());
         }
         check_bound(bound)?;
         let network = fold_frames(&shared, &latent)?;

@@ -74,10 +74,10 @@ impl Sampler {
     /// Samples `brdf`, arguments as in [`SampleBrdf::sample`](crate::SampleBrdf::sample).
     #[must_use]
     pub fn sample(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
-        match self.sample_direction(view, u) {
-            Some((light, pdf)) => Sample { light, pdf, weight: brdf.eval(light, view) * (light.z / pdf) },
-            None => Sample::FAILED,
-        }
+        let Some((light, pdf)) = self.sample_direction(view, u) else { return Sample::FAILED };
+        let weight = brdf.eval(light, view) * (light.z / pdf);
+        // Where f is near the end of float32, the weight can be beyond it.
+        if weight.is_finite() { Sample { light, pdf, weight } } else { Sample::FAILED }
     }
 }
 

@@ -68,3 +68,12 @@ impl Error {
         |source| Error::Read { path: path.to_owned(), source }
     }
 }
+
+/// The beginning of a text of a file, for a message: a file may hold a line of any length.
+pub(crate) fn excerpt(text: &str) -> String {
+    const MOST: usize = 80;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}…", text[..end].escape_debug()),
+        None => text.escape_debug().to_string(),
+    }
+}

@@ -12,6 +12,10 @@ pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
 /// Deepest nesting of groups: Keras' own files have at most four levels.
 const MAX_DEPTH: usize = 8;
 
+/// Most numbers of an array: more than the weights of a layer of the widest network. A file need not hold
+/// what it claims, and is not believed beyond this.
+const MAX_NUMBERS: u64 = 1 << 14;
+
 /// A dense layer.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dense {
@@ -49,6 +53,14 @@ fn collect(group: &Group, number: u64, depth: usize, layers: &mut Vec<(u64, Dens
 }
 
 fn read(dataset: &Dataset) -> Result<Array, String> {
+    let count = dataset.shape().iter().try_fold(1, |n: u64, &axis| n.checked_mul(axis));
+    if count.is_none_or(|count| count > MAX_NUMBERS) {
+        return Err(format!(
+            "the dataset {} claims the shape {:?}, expected at most {MAX_NUMBERS} numbers",
+            dataset.name(),
+            dataset.shape()
+        ));
+    }
     let values = dataset
         .read_array::<f32>()
         .map_err(|error| format!("the dataset {} is no array of float32: {error}", dataset.name()))?;

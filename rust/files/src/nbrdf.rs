@@ -24,8 +24,11 @@ pub const NPZ_MAGIC: &[u8; 4] = b"PK\x03\x04";
 pub const FIRST_NPY: [&str; 2] = ["_fc1.npy", "_w1.npy"];
 
 const LAYERS: usize = 3;
-/// Largest file and largest array that is read; the published ones have 5 kB.
+/// Largest file that is read; the published ones have 5 kB.
 const MAX_BYTES: u64 = 1 << 24;
+/// Largest array of an archive that is unpacked: float64 weights of a layer of the widest network, and
+/// more than that. What a small file unpacks to is thereby bounded.
+const MAX_MEMBER_BYTES: u64 = 1 << 17;
 const FORMAT: &str = "a set of NBRDF weights";
 
 /// Reads a material's network; `path` is an `.h5` or `.npz` file or the first of six `.npy` files.
@@ -37,13 +40,18 @@ pub fn open(path: impl AsRef<Path>) -> Result<Nbrdf, Error> {
     let path = path.as_ref();
     let arrays = match prefix(path) {
         Some(prefix) => from_npy_files(&prefix)?,
-        None => {
-            let bytes = read(path)?;
-            let from = if bytes.starts_with(keras::MAGIC) { from_h5 } else { from_npz };
-            from(&bytes).map_err(format_error(path))?
-        }
+        None => return from_bytes(path, &read(path)?),
     };
     assemble(&arrays).map_err(format_error(path))
+}
+
+/// Decodes the bytes of an `.h5` or `.npz` file; `path` is what messages name.
+///
+/// # Errors
+/// [`Error::Format`], as [`open`].
+pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Nbrdf, Error> {
+    let from = if bytes.starts_with(keras::MAGIC) { from_h5 } else { from_npz };
+    from(bytes).and_then(|arrays| assemble(&arrays)).map_err(format_error(path))
 }
 
 /// The material's name: the file's, without what says that it is the first of several.
@@ -80,9 +88,9 @@ fn from_npz(bytes: &[u8]) -> Result<HashMap<String, Array>, String> {
     for index in 0..archive.len() {
         let member = archive.by_index(index).map_err(|error| error.to_string())?;
         let name = member.name().map_err(|error| error.to_string())?.into_owned();
-        let Some(key) = name.strip_suffix(".npy") else { continue };
+        let Some(key) = name.strip_suffix(".npy").filter(|key| is_wanted(key)) else { continue };
         let mut bytes = Vec::new();
-        member.take(MAX_BYTES).read_to_end(&mut bytes).map_err(|error| format!("{name}: {error}"))?;
+        member.take(MAX_MEMBER_BYTES).read_to_end(&mut bytes).map_err(|error| format!("{name}: {error}"))?;
         let array = Array::from_bytes(&bytes).map_err(|reason| format!("{name}: {reason}"))?;
         arrays.insert(key.to_owned(), array);
     }
@@ -111,6 +119,11 @@ fn from_npy_files(prefix: &Path) -> Result<HashMap<String, Array>, Error> {
         }
     }
     Ok(arrays)
+}
+
+/// Whether the network has an array of this name.
+fn is_wanted(key: &str) -> bool {
+    (1..=LAYERS).any(|layer| weight_names(layer).contains(&key.to_owned()) || key == format!("b{layer}"))
 }
 
 /// The names under which a layer's weights are published.

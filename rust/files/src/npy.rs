@@ -7,13 +7,16 @@ use std::path::Path;
 
 use glimt_core::library::write_whole;
 
-use crate::error::Error;
+use crate::error::{Error, excerpt};
 
 /// First bytes of a `.npy` file.
 pub const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
 /// The numbers of a file start at a multiple of this, as the specification asks.
 const ALIGNMENT: usize = 64;
+
+/// Most axes of an array, as in NumPy.
+const MAX_AXES: usize = 64;
 
 /// An array of float32.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +55,12 @@ impl Array {
             ">f4" => |b| f32::from_be_bytes(b.try_into().expect("four bytes")),
             "<f8" => |b| f64::from_le_bytes(b.try_into().expect("eight bytes")) as f32,
             ">f8" => |b| f64::from_be_bytes(b.try_into().expect("eight bytes")) as f32,
-            other => return Err(format!("its type is {other}, expected float32 (<f4) or float64 (<f8)")),
+            other => {
+                return Err(format!(
+                    "its type is {}, expected float32 (<f4) or float64 (<f8)",
+                    excerpt(other)
+                ));
+            }
         };
         let size = if kind.contains("f4") { 4 } else { 8 };
         let expected = shape.iter().try_fold(size, |n: usize, &axis| n.checked_mul(axis));
@@ -63,7 +71,7 @@ impl Array {
         let values = match header_value(header, "fortran_order")? {
             "False" => values,
             "True" => from_fortran_order(&shape, &values),
-            other => return Err(format!("fortran_order is {other}, expected True or False")),
+            other => return Err(format!("fortran_order is {}, expected True or False", excerpt(other))),
         };
         Ok(Array { shape, values })
     }
@@ -124,7 +132,7 @@ fn split(bytes: &[u8]) -> Result<(&str, &[u8]), String> {
 
 /// The text of one value in the header's dictionary.
 fn header_value<'a>(header: &'a str, key: &str) -> Result<&'a str, String> {
-    let missing = || format!("its header has no {key}: {}", header.trim_end().escape_debug());
+    let missing = || format!("its header has no {key}: {}", excerpt(header.trim_end()));
     let quoted = [format!("'{key}'"), format!("\"{key}\"")];
     let (_, rest) = quoted.iter().find_map(|key| header.split_once(key.as_str())).ok_or_else(missing)?;
     let rest = rest.trim_start().strip_prefix(':').ok_or_else(missing)?.trim_start();
@@ -134,10 +142,12 @@ fn header_value<'a>(header: &'a str, key: &str) -> Result<&'a str, String> {
 }
 
 fn shape(tuple: &str) -> Result<Vec<usize>, String> {
-    let bad = || format!("its shape is {tuple}, expected a tuple of lengths");
+    let bad = || format!("its shape is {}, expected a tuple of at most {MAX_AXES} lengths", excerpt(tuple));
     let inner = tuple.strip_prefix('(').and_then(|t| t.strip_suffix(')')).ok_or_else(bad)?;
     let axes = inner.split(',').map(str::trim).filter(|axis| !axis.is_empty());
-    axes.map(|axis| axis.parse().map_err(|_| bad())).collect()
+    let shape: Vec<usize> =
+        axes.take(MAX_AXES + 1).map(|axis| axis.parse().map_err(|_| bad())).collect::<Result<_, _>>()?;
+    if shape.len() > MAX_AXES { Err(bad()) } else { Ok(shape) }
 }
 
 /// Reorders numbers whose first axis varies fastest.

@@ -15,7 +15,7 @@ use std::path::Path;
 
 use glimt_core::Vec3;
 
-use crate::error::Error;
+use crate::error::{Error, excerpt};
 use crate::npy::{self, Array};
 
 /// Scattered measurements of one material.
@@ -202,7 +202,8 @@ impl Columns {
     }
 
     fn from_header(line: &str) -> Result<Columns, String> {
-        let names: Vec<String> = fields(line).map(str::to_lowercase).collect();
+        // One more than any form has tells that there are too many, however long the line is.
+        let names: Vec<String> = fields(line).take(CARTESIAN.len() + 1).map(str::to_lowercase).collect();
         if let Some(columns) = places(&CARTESIAN, &names) {
             Ok(Columns::Cartesian(columns))
         } else if let Some(columns) = places(&ANGLES, &names) {
@@ -210,7 +211,7 @@ impl Columns {
         } else {
             Err(format!(
                 "the columns are \"{}\", expected {} or {} (radians), in any order",
-                line.trim().escape_debug(),
+                excerpt(line.trim()),
                 CARTESIAN.join(","),
                 ANGLES.join(",")
             ))
@@ -240,9 +241,9 @@ fn numbers<const N: usize>(line: &str, columns: &[usize; N]) -> Result<[f64; N],
     let mut count = 0;
     for field in fields(line) {
         if let Some(number) = read.get_mut(count) {
-            *number = field.parse().map_err(|_| {
-                format!("\"{}\" is not a number (column {})", field.escape_debug(), count + 1)
-            })?;
+            *number = field
+                .parse()
+                .map_err(|_| format!("\"{}\" is not a number (column {})", excerpt(field), count + 1))?;
         }
         count += 1;
     }
@@ -339,6 +340,8 @@ mod tests {
         }
         assert!(read("x,y,z\n").unwrap_err().contains("line 1: the columns are \"x,y,z\", expected light_x"));
         assert!(read("theta_l,phi_l,theta_v,phi_v,r,g,g\n").unwrap_err().contains("line 1: the columns"));
+        let long = read(&",".repeat(10_000)).unwrap_err();
+        assert!(long.contains("…") && long.len() < 400, "{long}");
         assert!(read("").unwrap_err().contains("no sample"));
         assert!(Samples::from_bytes(b"\xff\xfe0").unwrap_err().contains("not text"));
     }

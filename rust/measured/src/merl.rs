@@ -72,15 +72,7 @@ impl Merl {
         if bytes.len() != FILE_SIZE {
             return Err(Error::size(path, bytes.len(), FILE_SIZE, SIZE_RULE));
         }
-        let mut bins = vec![Vec3::ZERO; PLANE];
-        let mut clamped = 0;
-        for (index, value) in file::doubles(path, &bytes[HEADER_SIZE..], "table").enumerate() {
-            let (channel, bin) = (index / PLANE, index % PLANE);
-            let value = value? * SCALE[channel];
-            clamped += usize::from(value < 0.0);
-            // A float32 cannot hold every double: the largest stands for what is beyond.
-            bins[bin][channel] = value.clamp(0.0, f64::from(f32::MAX)) as f32;
-        }
+        let (bins, clamped) = decode_bins(path, &bytes[HEADER_SIZE..])?;
         Ok(Merl { name: file::stem(path), clamped, interpolation: Interpolation::default(), bins })
     }
 
@@ -125,6 +117,22 @@ impl Merl {
         let along_diff = |h| along_phi(h, d0).lerp(along_phi(h, d1), d);
         along_diff(h0).lerp(along_diff(h1), h)
     }
+}
+
+/// f per bin from three planes of any length, and the number of negative values.
+#[doc(hidden)]
+pub fn decode_bins(path: &Path, planes: &[u8]) -> Result<(Vec<Vec3>, usize), Error> {
+    let plane = planes.len() / 8 / 3;
+    let mut bins = vec![Vec3::ZERO; plane];
+    let mut clamped = 0;
+    for (index, value) in file::doubles(path, &planes[..plane * 3 * 8], "table").enumerate() {
+        let (channel, bin) = (index / plane, index % plane);
+        let value = value? * SCALE[channel];
+        clamped += usize::from(value < 0.0);
+        // A float32 cannot hold every double; room for interpolations, and for weights of samples.
+        bins[bin][channel] = value.clamp(0.0, f64::from(f32::MAX) / 64.0) as f32;
+    }
+    Ok((bins, clamped))
 }
 
 impl Kernel for Merl {

@@ -104,16 +104,7 @@ impl Utia {
         if bytes.len() != FILE_SIZE {
             return Err(Error::size(path, bytes.len(), FILE_SIZE, SIZE_RULE));
         }
-        let mut pairs = vec![Vec3::ZERO; PLANE];
-        let mut clamped = 0;
-        for (index, value) in file::doubles(path, bytes, "table").enumerate() {
-            let (channel, pair) = (index / PLANE, index % PLANE);
-            let value = value?;
-            clamped += usize::from(value < 0.0);
-            let f = encoding.decode(value.max(0.0));
-            // Room for the sums of an extrapolation.
-            pairs[pair][channel] = f.min(f64::from(f32::MAX) / 64.0) as f32;
-        }
+        let (pairs, clamped) = decode_pairs(path, bytes, encoding)?;
         Ok(Utia { name: file::stem(path), clamped, pairs })
     }
 
@@ -140,6 +131,23 @@ impl Table for Utia {
     fn clamped(&self) -> usize {
         self.clamped
     }
+}
+
+/// f per pair from three planes of any length, and the number of negative values.
+#[doc(hidden)]
+pub fn decode_pairs(path: &Path, planes: &[u8], encoding: Encoding) -> Result<(Vec<Vec3>, usize), Error> {
+    let plane = planes.len() / 8 / 3;
+    let mut pairs = vec![Vec3::ZERO; plane];
+    let mut clamped = 0;
+    for (index, value) in file::doubles(path, &planes[..plane * 3 * 8], "table").enumerate() {
+        let (channel, pair) = (index / plane, index % plane);
+        let value = value?;
+        clamped += usize::from(value < 0.0);
+        let f = encoding.decode(value.max(0.0));
+        // Room for the sums of an extrapolation.
+        pairs[pair][channel] = f.min(f64::from(f32::MAX) / 64.0) as f32;
+    }
+    Ok((pairs, clamped))
 }
 
 /// The four measured directions around a direction, with their weights (which sum to 1).

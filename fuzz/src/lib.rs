@@ -1,0 +1,3 @@
+//! What the fuzz targets run; `rust/files/tests/hostile.rs` replays the corpus through the same.
+
+pub mod readers;
