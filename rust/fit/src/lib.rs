@@ -11,6 +11,7 @@ pub mod analytic;
 pub mod backprop;
 pub mod checkpoint;
 pub mod error;
+pub mod factor;
 pub mod fit;
 pub mod ggx;
 pub mod hybrid;
@@ -24,6 +25,7 @@ pub mod truth;
 
 pub use add::add;
 pub use error::Error;
+pub use factor::{FactorFit, FactorOptions, fit_factor};
 pub use fit::{Doubt, Input, Outcome, Watch, doubts, fit};
 pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Recipe};
 pub use truth::Truth;
