@@ -85,6 +85,10 @@ typedef enum glimt_kind {
    * A measured table as it is.
    */
   GLIMT_KIND_TABULATED = 5,
+  /**
+   * A published analytic model: Cook and Torrance, Ward, Ashikhmin and Shirley, Low, Bagher.
+   */
+  GLIMT_KIND_ANALYTIC = 6,
 } glimt_kind;
 
 /**
@@ -202,7 +206,8 @@ const char *glimt_library_name(const struct glimt_library *library, size_t index
 
 /**
  * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
- * "nbrdf" or "factor", and "tabulated" for a measurement; valid until the library is closed. NULL for NULL.
+ * "nbrdf", "factor" or "analytic", and "tabulated" for a measurement; valid until the library is closed.
+ * NULL for NULL.
  */
 const char *glimt_library_kind(const struct glimt_library *library);
 

@@ -8,12 +8,17 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use glimt_core::Library;
+use glimt_core::factor::{Interpolation, Variant};
 use glimt_core::hybrid::Composition;
+use glimt_core::library::{Entry, Origin};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
 use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
 use glimt_fit::train::Schedule;
-use glimt_fit::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Outcome, doubts, fit};
+use glimt_fit::{
+    FactorOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth,
+    doubts, fit, fit_factor,
+};
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
 
@@ -69,6 +74,12 @@ pub struct Arguments {
     /// How the network corrects the analytic part: gated-residual, additive or log-multiplicative (hybrid)
     #[arg(long, value_name = "COMPOSITION", value_parser = parse_variant::<Composition>)]
     composition: Option<Composition>,
+    /// Which factors: independent-g, g-from-d, naive or bivariate (factor) [default: independent-g]
+    #[arg(long, value_name = "VARIANT", value_parser = parse_variant::<Variant>)]
+    variant: Option<Variant>,
+    /// How tables answer between their bins: nearest, as in the paper, or linear (factor) [default: linear]
+    #[arg(long, value_name = "INTERPOLATION", value_parser = parse_variant::<Interpolation>)]
+    interpolation: Option<Interpolation>,
     /// Show the analytic value to the network (hybrid)
     #[arg(long)]
     analytic_input: bool,
@@ -107,6 +118,8 @@ enum ModelName {
     Hybrid,
     /// A network with learned shading frames
     Neural,
+    /// Tables over single angles; no network and no gradients
+    Factor,
 }
 
 /// A size of a network as the command line spells it.
@@ -128,7 +141,9 @@ fn parse_variant<T: DeserializeOwned>(text: &str) -> Result<T, String> {
 
 impl Arguments {
     fn options(&self) -> Result<Options, Usage> {
+        self.refuse(&self.factor_only())?;
         let model = match self.model {
+            ModelName::Factor => unreachable!("factor tables have options of their own"),
             ModelName::Ggx => {
                 self.refuse(&self.hybrid_only())?;
                 self.refuse(&[
@@ -197,6 +212,28 @@ impl Arguments {
         ]
     }
 
+    /// Options that mean something for tables only.
+    fn factor_only(&self) -> [(&'static str, bool); 2] {
+        [("--variant", self.variant.is_some()), ("--interpolation", self.interpolation.is_some())]
+    }
+
+    fn factor(&self) -> Result<FactorOptions, Usage> {
+        self.refuse(&self.hybrid_only())?;
+        self.refuse(&[
+            ("--net", self.net.is_some()),
+            ("--latent", self.latent.is_some()),
+            ("--rate", self.rate.is_some()),
+            ("--resume", self.resume),
+            ("--paper", self.paper),
+            ("--anisotropic", self.anisotropic),
+        ])?;
+        Ok(FactorOptions {
+            variant: self.variant.unwrap_or(Variant::IndependentG),
+            interpolation: self.interpolation.unwrap_or_default(),
+            seed: self.seed,
+        })
+    }
+
     fn refuse(&self, options: &[(&str, bool)]) -> Result<(), Usage> {
         match options.iter().find(|(_, given)| *given) {
             Some((option, _)) => {
@@ -209,6 +246,9 @@ impl Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    if arguments.model == ModelName::Factor {
+        return run_factor(arguments, &arguments.factor()?);
+    }
     let options = arguments.options()?;
     let path = &arguments.output;
     output::check_writable(path)?;
@@ -259,16 +299,47 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     watch.finish();
-    // Kept before it is measured, which takes a while, and again with its errors.
-    Library::new(path, entries.clone())?.save()?;
-    fitting::measure(&mut entries, &inputs);
-    let library = Library::new(path, entries)?;
-    library.save()?;
+    keep(arguments, &mut entries, &inputs)?;
     if arguments.resume || keeper.kept {
         // The library is written, so that a checkpoint which stays does no harm.
         let _ = std::fs::remove_file(&checkpoint_path);
     }
-    fitting::print_errors(path, library.entries(), arguments.json)
+    fitting::print_errors(path, &entries, arguments.json)
+}
+
+/// Fits tables, which takes seconds a material and no checkpoints.
+fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
+    let path = &arguments.output;
+    output::check_writable(path)?;
+    let sources = inputs::open(&arguments.files)?;
+    let inputs = fitting::inputs(&sources, &fitting::command(&arguments.files), true)?;
+    let bar = output::progress_bar(inputs.len(), "fit");
+    let mut entries = Vec::new();
+    for input in &inputs {
+        let Truth::Brdf(brdf) = input.truth else {
+            bail!(
+                "\"{}\" is scattered samples, to which no tables can be fitted; expected a function",
+                input.name
+            );
+        };
+        let fit = fit_factor(brdf, options);
+        let mut origin = Origin { seed: Some(options.seed), ..input.origin.clone() };
+        for (channel, trace) in ["red", "green", "blue"].into_iter().zip(&fit.traces) {
+            origin.metrics.insert(format!("objective_{channel}"), trace[trace.len() - 1]);
+        }
+        entries.push(Entry { name: input.name.clone(), material: fit.factor.into(), origin });
+        bar.inc(1);
+    }
+    keep(arguments, &mut entries, &inputs)?;
+    fitting::print_errors(path, &entries, arguments.json)
+}
+
+/// Saves the library before it is measured, which takes a while, and again with its errors.
+fn keep(arguments: &Arguments, entries: &mut Vec<Entry>, inputs: &[Input]) -> Result<()> {
+    Library::new(&arguments.output, entries.clone())?.save()?;
+    fitting::measure(entries, inputs);
+    Library::new(&arguments.output, entries.clone())?.save()?;
+    Ok(())
 }
 
 /// Keeps a checkpoint from time to time, for the case that the fit does not come to an end of its own.

@@ -9,8 +9,8 @@ use crate::output;
 
 /// How the names of files end that a directory is searched for. Of the six files of a set of `.npy`
 /// weights, the first stands for all.
-const ENDINGS: [&str; 9] =
-    [".safetensors", ".bsdf", ".binary", ".bin", ".csv", ".h5", ".npz", "_fc1.npy", "_w1.npy"];
+const ENDINGS: [&str; 10] =
+    [".safetensors", ".bsdf", ".binary", ".bin", ".csv", ".fit", ".h5", ".npz", "_fc1.npy", "_w1.npy"];
 
 /// The files that `arguments` name, those of a directory or a glob in the order of their names.
 ///

@@ -1,5 +1,6 @@
 //! The core of glimt: what a renderer needs to evaluate and sample a fitted BRDF.
 
+pub mod analytic;
 pub mod brdf;
 pub mod error;
 pub mod factor;

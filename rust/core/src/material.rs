@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use crate::analytic::Analytic;
 use crate::brdf::{Brdf, Sample, SampleBrdf};
 use crate::factor::Factor;
 use crate::ggx::Ggx;
@@ -36,6 +37,8 @@ pub enum Material {
     Factor(Factor),
     /// See [`crate::tabulated`].
     Tabulated(Tabulated),
+    /// See [`crate::analytic`].
+    Analytic(Analytic),
 }
 
 /// `$body` with `$model` bound to the [`Model`] that `$material` holds.
@@ -48,6 +51,7 @@ macro_rules! with_model {
             Material::Nbrdf($model) => $body,
             Material::Factor($model) => $body,
             Material::Tabulated($model) => $body,
+            Material::Analytic($model) => $body,
         }
     };
 }
@@ -71,7 +75,7 @@ macro_rules! variants {
         }
     )+};
 }
-variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated);
+variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated, Analytic);
 
 impl Material {
     /// See [`Model::KIND`].

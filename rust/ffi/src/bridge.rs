@@ -24,6 +24,7 @@ mod ffi {
         Nbrdf,
         Factor,
         Tabulated,
+        Analytic,
     }
 
     /// What a network sees of two directions, see `features.rs` of the core.
@@ -249,6 +250,7 @@ impl Material {
             }
             glimt_core::Material::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
             glimt_core::Material::Tabulated(_) => ffi::Model { kind: ffi::Kind::Tabulated, ..model },
+            glimt_core::Material::Analytic(_) => ffi::Model { kind: ffi::Kind::Analytic, ..model },
         }
     }
 
@@ -267,7 +269,8 @@ impl Material {
     }
 
     fn has_traced_form(&self) -> bool {
-        !matches!(self.material, glimt_core::Material::Factor(_) | glimt_core::Material::Tabulated(_))
+        use glimt_core::Material::{Analytic, Factor, Tabulated};
+        !matches!(self.material, Factor(_) | Tabulated(_) | Analytic(_))
     }
 
     fn has_lobes(&self) -> bool {

@@ -50,8 +50,8 @@ pub enum Error {
     /// Neither content nor file name fits a format that is known here.
     #[error(
         "{}: {found}; expected a model library (.safetensors), an RGL (.bsdf), MERL (.binary) or UTIA (.bin) \
-         measurement, scattered samples (.csv, .npy), or NBRDF weights (.h5, .npz, or .npy files named \
-         *_fc1.npy …)",
+         measurement, scattered samples (.csv, .npy), NBRDF weights (.h5, .npz, or .npy files named *_fc1.npy …), \
+         or analytic fits (.fit)",
         path.display()
     )]
     UnknownFormat {

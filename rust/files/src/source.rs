@@ -11,6 +11,7 @@ use sha2::{Digest, Sha256};
 
 use crate::error::Error;
 use crate::keras;
+use crate::merl_fits;
 use crate::nbrdf;
 use crate::npy;
 use crate::samples::Samples;
@@ -18,7 +19,7 @@ use crate::samples::Samples;
 /// What a file holds: materials, or samples of one.
 #[derive(Clone, Debug)]
 pub enum Source {
-    /// A model library; a measured table or NBRDF weights as a library of one material.
+    /// A model library; a measured table, NBRDF weights or published analytic fits as one.
     Library(Library),
     /// Scattered samples: f at some pairs of directions, and nothing between them.
     Samples {
@@ -53,6 +54,9 @@ impl Source {
                 open_samples(path)
             };
         }
+        if has_extension("fit") {
+            return Ok(Source::Library(merl_fits::open(path)?));
+        }
         if has_extension("csv") {
             return open_samples(path);
         }
@@ -86,8 +90,8 @@ impl Source {
         }
     }
 
-    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `factor`, `merl`, `rgl`, `utia`,
-    /// `samples`.
+    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `factor`, `analytic`, `merl`,
+    /// `rgl`, `utia`, `samples`.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
@@ -145,9 +149,13 @@ fn single(path: &Path, name: String, material: Material, origin: Origin) -> Resu
 /// NBRDF weights as a library of one material.
 fn open_nbrdf(path: &Path) -> Result<Source, Error> {
     let material = Material::Nbrdf(nbrdf::open(path)?);
-    let source = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let source = file_name(path);
     let origin = Origin { source, sha256: sha256(path)?, command: "import".into(), ..Origin::default() };
     single(path, nbrdf::name(path), material, origin)
+}
+
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// SHA-256 of a file in hexadecimal.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use super::container::{Tensor, Tensors, layer_at};
+use crate::analytic::{Analytic, Lobe, Parameters, Specular};
 use crate::ggx::Ggx;
 use crate::hybrid::{Form, Hybrid};
 use crate::microfacet::Microfacet;
@@ -126,6 +127,41 @@ impl Codec for Tabulated {
 
     fn decode(_: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
         Err("a library cannot hold measured tables".into())
+    }
+}
+
+impl Codec for Analytic {
+    fn form(&self) -> Option<Value> {
+        Some(serde_json::json!({ "lobe": self.parameters().specular.lobe() }))
+    }
+
+    fn encode(materials: &[&Self]) -> Vec<Tensor> {
+        let rows = |numbers: &dyn Fn(&Parameters) -> Vec<f64>| -> Vec<Vec<f32>> {
+            materials.iter().map(|m| numbers(m.parameters()).iter().map(|&x| x as f32).collect()).collect()
+        };
+        vec![
+            Tensor::rows("diffuse", &rows(&|p| p.diffuse.to_vec())),
+            Tensor::rows("specular", &rows(&|p| p.specular.numbers())),
+        ]
+    }
+
+    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String> {
+        let lobe = form.and_then(|form| form.get("lobe")).ok_or("its metadata names no \"lobe\"")?;
+        let lobe: Lobe = serde::Deserialize::deserialize(lobe)
+            .map_err(|e| format!("its \"glimt\" metadata is broken: the lobe: {e}"))?;
+        let diffuse = file.rows::<3>("diffuse")?;
+        let specular = file.take("specular")?;
+        let [materials, width] = specular.shape[..] else {
+            return Err(specular.unexpected_shape("[materials, parameters]"));
+        };
+        if materials != file.materials() || width == 0 {
+            return Err(specular.unexpected_shape(&format!("[{}, parameters]", file.materials())));
+        }
+        file.each(|i| {
+            let numbers: Vec<f64> = specular.data[i * width..][..width].iter().map(|&x| x.into()).collect();
+            let specular = Specular::from_numbers(lobe, &numbers)?;
+            Analytic::new(Parameters { diffuse: diffuse[i].map(f64::from), specular })
+        })
     }
 }
 

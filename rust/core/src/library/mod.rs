@@ -16,6 +16,7 @@
 //! | `masking` | (materials, 3, 90) | factor, independent-g |
 //! | `azimuth` | (materials, 3, 180) | factor, naive |
 //! | `bivariate` | (materials, 90, 90, 3) | factor, bivariate |
+//! | `diffuse`, `specular` | (materials, 3), (materials, parameters of the lobe) | analytic |
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -24,6 +25,7 @@ use safetensors::tensor::{SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::analytic::Analytic;
 use crate::error::Error;
 use crate::factor::Factor;
 use crate::ggx::Ggx;
@@ -364,13 +366,17 @@ fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, St
         Neural::KIND => decode::<Neural>(header, file),
         Nbrdf::KIND => decode::<Nbrdf>(header, file),
         Factor::KIND => decode::<Factor>(header, file),
-        other => Err(format!("its model is \"{other}\", expected ggx, hybrid, neural, nbrdf or factor")),
+        Analytic::KIND => decode::<Analytic>(header, file),
+        other => {
+            Err(format!("its model is \"{other}\", expected ggx, hybrid, neural, nbrdf, factor or analytic"))
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::analytic::tests::specimens;
     use crate::brdf::Brdf;
     use crate::factor::{Factors, Interpolation, tests::patterned_factors};
     use crate::features::Inputs;
@@ -427,6 +433,12 @@ mod tests {
             ],
         ];
         libraries.extend(patterned_factors().map(factor));
+        libraries.extend(specimens().map(|parameters| {
+            let mut other = parameters.clone();
+            other.diffuse = [0.5; 3];
+            let material = |parameters| Material::Analytic(Analytic::new(parameters).unwrap());
+            vec![entry("a", material(parameters)), entry("b", material(other))]
+        }));
         libraries
     }
 

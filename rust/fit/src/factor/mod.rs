@@ -80,7 +80,7 @@ pub fn fit_factor(brdf: &dyn Brdf, options: &FactorOptions) -> FactorFit {
 }
 
 /// When the starts of independent G are compared, on a third of the samples, and when the best ends.
-const FIRST: Patience = Patience { tolerance: 2e-5, steps: 60 };
+const FIRST: Patience = Patience { tolerance: 1e-5, steps: 120 };
 const LAST: Patience = Patience { tolerance: 1e-6, steps: 300 };
 
 /// One colour channel's samples on the whole grid.
