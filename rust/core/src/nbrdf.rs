@@ -13,7 +13,7 @@ use crate::kernel::{Kernel, splat3};
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
-use crate::network::{MAX_WIDTH, Network, Rows};
+use crate::network::{Network, Rows};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -102,13 +102,12 @@ impl Kernel for Nbrdf {
 
     #[inline(always)]
     fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
-        let mut y = [0.0; MAX_WIDTH];
         let features = half_difference(splat3::<I, 4>(isa, light), splat3(isa, view));
         let mut x = [0.0; FEATURES];
         for i in 0..FEATURES {
             x[i] = features[i].first();
         }
-        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        let y = self.network.forward_one(isa, &self.first_bias, &x);
         let f = radiance(Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0])).to_array();
         Vec3::new(f[0], f[1], f[2])
     }
@@ -165,6 +164,7 @@ pub mod reference {
 mod tests {
     use super::*;
     use crate::Brdf;
+    use crate::kernel::ONE_MAX_RELATIVE_DIFFERENCE;
     use crate::network::{Activation, tests::patterned};
 
     #[test]
@@ -181,7 +181,8 @@ mod tests {
         let mut batch = vec![Vec3::ZERO; light.len()];
         material.eval_batch(&light, &view, &mut batch);
         for i in 0..light.len() {
-            assert_eq!(batch[i], material.eval(light[i], view[i]));
+            let difference = (batch[i] - material.eval(light[i], view[i])).abs().max_element();
+            assert!(difference <= ONE_MAX_RELATIVE_DIFFERENCE * batch[i].max_element() + 1e-6);
             let truth = reference::eval(&material, light[i].as_dvec3(), view[i].as_dvec3());
             for (f, truth) in batch[i].to_array().into_iter().zip(truth) {
                 assert!((f64::from(f) - truth).abs() < 2e-5, "{f} against {truth}");

@@ -4,6 +4,7 @@
 //! them, so that α, whose scale spans orders of magnitude, moves by ratios where it is small.
 
 use glimt_core::microfacet::{ETA_RANGE, Half, MIN_ALPHA, Microfacet};
+use glimt_core::simd::Real;
 use std::f32::consts::FRAC_1_PI;
 
 /// Numbers of the analytic BRDF: k_d (3), η (3), α (1 or 2), in this order.
@@ -76,87 +77,97 @@ pub fn add_gradient(numbers: &[f32], sums: &[f64; 8], gradient: &mut [f32]) {
     }
 }
 
-/// f_a of one pair, and what its derivatives are made of.
+/// f_a of pairs in any number of lanes, and what its derivatives are made of.
 #[derive(Clone, Copy, Debug)]
-pub struct Derivatives {
+pub struct Derivatives<F> {
     /// f_a per channel.
-    pub value: [f32; 3],
+    pub value: [F; 3],
     /// ∂f_a/∂η per channel.
-    pub eta: [f32; 3],
+    pub eta: [F; 3],
     /// ∂ ln(specular part)/∂α_x and ∂α_y, the same for every channel.
-    pub log_alpha: [f32; 2],
+    pub log_alpha: [F; 2],
     /// The specular part of f_a per channel.
-    pub specular: [f32; 3],
+    pub specular: [F; 3],
 }
 
-impl Derivatives {
-    /// Of `p` at one pair above the horizon.
+impl<F: Real> Derivatives<F> {
+    /// Of `p` at pairs above the horizon.
     #[inline(always)]
     #[must_use]
-    pub fn new(p: &Microfacet, light: [f32; 3], view: [f32; 3]) -> Self {
+    pub fn new(p: &Microfacet, light: [F; 3], view: [F; 3]) -> Self {
         let half = Half::new(light, view);
         let (shape, cos_d) = (p.shape(&half, light, view), half.cos_d());
-        let mut value = [0.0; 3];
-        let mut eta = [0.0; 3];
-        let mut specular = [0.0; 3];
+        let mut value = [shape; 3];
+        let mut eta = [shape; 3];
+        let mut specular = [shape; 3];
         for c in 0..3 {
             let (fresnel, slope) = fresnel_and_slope(cos_d, p.eta[c]);
             specular[c] = fresnel * shape;
-            value[c] = p.kd[c] * FRAC_1_PI + specular[c];
+            value[c] = specular[c] + p.kd[c] * FRAC_1_PI;
             eta[c] = slope * shape;
         }
-        Derivatives { value, eta, log_alpha: log_alpha_slopes(p.alpha, light, view), specular }
+        Derivatives { value, eta, log_alpha: log_alpha_slopes(&half, p.alpha, light, view), specular }
     }
 
     /// Adds `delta` = ∂loss/∂f_a times ∂f_a/∂(k_d, η, α) to `sums`.
     #[inline(always)]
-    pub fn accumulate(&self, delta: [f32; 3], sums: &mut [f32; 8]) {
-        let mut specular = 0.0;
+    pub fn accumulate(&self, delta: [F; 3], sums: &mut [F; 8]) {
+        let mut specular = delta[0] * self.specular[0];
         for c in 0..3 {
-            sums[c] += delta[c] * FRAC_1_PI;
-            sums[3 + c] += delta[c] * self.eta[c];
-            specular += delta[c] * self.specular[c];
+            sums[c] = sums[c] + delta[c] * FRAC_1_PI;
+            sums[3 + c] = delta[c].fma(self.eta[c], sums[3 + c]);
+            if c > 0 {
+                specular = delta[c].fma(self.specular[c], specular);
+            }
         }
-        sums[6] += specular * self.log_alpha[0];
-        sums[7] += specular * self.log_alpha[1];
+        sums[6] = specular.fma(self.log_alpha[0], sums[6]);
+        sums[7] = specular.fma(self.log_alpha[1], sums[7]);
     }
 }
 
 /// ∂/∂α of ln D − ln(masking of light) − ln(masking of view), see [`Microfacet::shape`].
 #[inline(always)]
-fn log_alpha_slopes(alpha: [f32; 2], light: [f32; 3], view: [f32; 3]) -> [f32; 2] {
-    let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
-    let (sx, sy) = (h[0] / alpha[0], h[1] / alpha[1]);
-    let spread = (sx * sx + sy * sy + h[2] * h[2]).max(f32::MIN_POSITIVE);
-    let masking = |w: [f32; 3]| {
-        let (x, y) = (w[0] * alpha[0], w[1] * alpha[1]);
-        let root = (w[2] * w[2] + x * x + y * y).sqrt().max(f32::MIN_POSITIVE);
-        let scale = 1.0 / (root * (w[2] + root));
-        [alpha[0] * w[0] * w[0] * scale, alpha[1] * w[1] * w[1] * scale]
-    };
-    let (l, v) = (masking(light), masking(view));
-    let ndf = [(4.0 * sx * sx / spread - 1.0) / alpha[0], (4.0 * sy * sy / spread - 1.0) / alpha[1]];
-    [ndf[0] - l[0] - v[0], ndf[1] - l[1] - v[1]]
+fn log_alpha_slopes<F: Real>(half: &Half<F>, alpha: [f32; 2], light: [F; 3], view: [F; 3]) -> [F; 2] {
+    let spread = half.slope(alpha) + half.height;
+    let scale = spread.splat(4.0) / spread.max(spread.splat(f32::MIN_POSITIVE));
+    let (l, v) = (log_masking_slopes(light, alpha), log_masking_slopes(view, alpha));
+    let mut slopes = l;
+    for axis in 0..2 {
+        let inverse = 1.0 / alpha[axis];
+        let ndf = (half.tangential[axis] * (inverse * inverse) * scale - 1.0) * inverse;
+        slopes[axis] = ndf - l[axis] - v[axis];
+    }
+    slopes
+}
+
+#[inline(always)]
+fn log_masking_slopes<F: Real>(direction: [F; 3], alpha: [f32; 2]) -> [F; 2] {
+    let [x, y, z] = direction;
+    let (stretched_x, stretched_y) = (x * alpha[0], y * alpha[1]);
+    let square = z * z + stretched_x * stretched_x + stretched_y * stretched_y;
+    let root = square.sqrt().max(z.splat(f32::MIN_POSITIVE));
+    let scale = (root * (z + root)).reciprocal();
+    [x * stretched_x * scale, y * stretched_y * scale]
 }
 
 /// [`glimt_core::microfacet::fresnel`] and its derivative with respect to η.
 #[inline(always)]
-fn fresnel_and_slope(cos: f32, eta: f32) -> (f32, f32) {
+fn fresnel_and_slope<F: Real>(cos: F, eta: f32) -> (F, F) {
     let excess = (eta - 1.0) * (eta + 1.0);
-    let root = (excess + cos * cos).sqrt().max(f32::MIN_POSITIVE);
-    let sum = root + cos;
-    let difference = excess / sum;
-    let ratio = difference / sum;
-    let numerator = cos * sum - 1.0;
-    let denominator = cos * difference + 1.0;
-    let parallel = numerator / denominator;
+    let root = (cos * cos + excess).sqrt().max(cos.splat(f32::MIN_POSITIVE));
+    let inverse_sum = (root + cos).reciprocal();
+    let difference = inverse_sum * excess;
+    let ratio = difference * inverse_sum;
+    let numerator = cos * (root + cos) - 1.0;
+    let inverse_denominator = (cos * difference + 1.0).reciprocal();
+    let parallel = numerator * inverse_denominator;
     // Derivatives of sum, excess/sum, excess/sum² and the parallel quotient, in this order.
-    let d_sum = eta / root;
-    let d_difference = (2.0 * eta - difference * d_sum) / sum;
-    let d_ratio = (d_difference - ratio * d_sum) / sum;
-    let d_parallel = cos * (d_sum - parallel * d_difference) / denominator;
-    let square = 1.0 + parallel * parallel;
-    let value = 0.5 * ratio * ratio * square;
+    let d_sum = cos.splat(eta) / root;
+    let d_difference = (cos.splat(2.0 * eta) - difference * d_sum) * inverse_sum;
+    let d_ratio = (d_difference - ratio * d_sum) * inverse_sum;
+    let d_parallel = cos * (d_sum - parallel * d_difference) * inverse_denominator;
+    let square = parallel * parallel + 1.0;
+    let value = ratio * ratio * square * 0.5;
     (value, ratio * (d_ratio * square + ratio * parallel * d_parallel))
 }
 

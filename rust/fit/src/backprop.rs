@@ -6,7 +6,7 @@
 
 use glimt_core::dispatch;
 use glimt_core::network::{Activation, Layer};
-use glimt_core::simd::{LANES, Lane, Lanes};
+use glimt_core::simd::{LANES, Lane, Lanes, Vector};
 
 /// Columns of lanes in a block.
 pub const COLUMNS: usize = 16;
@@ -111,8 +111,8 @@ impl Shape {
 pub struct Workspace {
     /// Inputs of each layer: features, then activations. `values[layers]` is the output.
     pub values: Vec<Vec<Row>>,
-    /// Sums before the activation, for each layer but the last.
-    sums: Vec<Vec<Row>>,
+    /// Slopes of the activation, for each layer but the last.
+    slopes: Vec<Vec<Row>>,
     /// Derivatives of the loss with respect to a layer's sums, and to its inputs.
     delta: Vec<Row>,
     next_delta: Vec<Row>,
@@ -128,7 +128,7 @@ impl Workspace {
         let hidden = &shape.sizes[1..shape.layers()];
         Workspace {
             values: shape.sizes.iter().map(|&size| vec![ZERO_ROW; size]).collect(),
-            sums: hidden.iter().map(|&size| vec![ZERO_ROW; size]).collect(),
+            slopes: hidden.iter().map(|&size| vec![ZERO_ROW; size]).collect(),
             delta: vec![ZERO_ROW; widest],
             next_delta: vec![ZERO_ROW; widest],
             transposed: vec![0.0; widest * widest],
@@ -174,18 +174,9 @@ dispatch! {
             }
             let (before, after) = workspace.values.split_at_mut(layer + 1);
             let (x, y) = (&before[layer], &mut after[0]);
-            match workspace.sums.get_mut(layer) {
-                None => product(isa, matrix, Some(bias), x, y),
-                Some(sums) => {
-                    product(isa, matrix, Some(bias), x, sums);
-                    for (y, sum) in y.iter_mut().zip(&*sums) {
-                        for (y, sum) in y.iter_mut().zip(sum) {
-                            for lane in 0..LANES {
-                                y[lane] = shape.activation.value(sum[lane]);
-                            }
-                        }
-                    }
-                }
+            product(isa, matrix, Some(bias), x, y);
+            if let Some(slopes) = workspace.slopes.get_mut(layer) {
+                activate(isa, shape.activation, y, slopes);
             }
         }
     }
@@ -198,14 +189,8 @@ dispatch! {
         for layer in (0..shape.layers()).rev() {
             let (inputs, outputs) = shape.layer(layer);
             let delta = &mut workspace.delta[..outputs];
-            if let Some(sums) = workspace.sums.get(layer) {
-                for (delta, sum) in delta.iter_mut().zip(sums) {
-                    for (delta, sum) in delta.iter_mut().zip(sum) {
-                        for lane in 0..LANES {
-                            delta[lane] *= shape.activation.derivative(sum[lane]);
-                        }
-                    }
-                }
+            if let Some(slopes) = workspace.slopes.get(layer) {
+                multiply(isa, delta, slopes);
             }
             let (weight_gradient, bias_gradient) = shape.split_mut(gradient, layer);
             outer_product(isa, delta, &workspace.values[layer], weight_gradient);
@@ -219,18 +204,45 @@ dispatch! {
     }
 }
 
+/// From sums before the activation to the activation, and its slopes.
+#[inline(always)]
+fn activate<I: Lanes<LANES>>(isa: I, activation: Activation, y: &mut [Row], slopes: &mut [Row]) {
+    for (y, slopes) in y.iter_mut().zip(slopes) {
+        for column in 0..COLUMNS {
+            let (value, slope) = activation.value_and_slope(Vector::load(isa, &y[column]));
+            value.store(&mut y[column]);
+            slope.store(&mut slopes[column]);
+        }
+    }
+}
+
+/// `delta` times `slopes`.
+#[inline(always)]
+fn multiply<I: Lanes<LANES>>(isa: I, delta: &mut [Row], slopes: &[Row]) {
+    for (delta, slopes) in delta.iter_mut().zip(slopes) {
+        for column in 0..COLUMNS {
+            let product = Vector::<I, LANES>::load(isa, &delta[column]) * Vector::load(isa, &slopes[column]);
+            product.store(&mut delta[column]);
+        }
+    }
+}
+
 /// y = Mᵀ x + bias for a block, with M as [x.len()][y.len()].
 #[inline(always)]
 fn product<I: Lanes<LANES>>(isa: I, matrix: &[f32], bias: Option<&[f32]>, x: &[Row], y: &mut [Row]) {
-    let mut row = 0;
-    while row < y.len() {
-        // Eight rows at a time where the registers hold them, and the rest in smaller steps.
-        row += match y.len() - row {
-            8.. if I::ROWS == 8 => product_rows::<I, 8>(isa, matrix, bias, x, y, row),
-            4.. => product_rows::<I, 4>(isa, matrix, bias, x, y, row),
-            2.. => product_rows::<I, 2>(isa, matrix, bias, x, y, row),
-            _ => product_rows::<I, 1>(isa, matrix, bias, x, y, row),
-        };
+    // One column of all inputs stays in the first cache while all rows of it are computed.
+    for column in 0..COLUMNS {
+        let mut row = 0;
+        while row < y.len() {
+            // As many rows at a time as the registers hold, and the rest in smaller steps.
+            row += match y.len() - row {
+                8.. if I::ROWS == 8 => product_rows::<I, 8>(isa, matrix, bias, x, y, row, column),
+                6 | 7 | 10.. if I::ROWS >= 6 => product_rows::<I, 6>(isa, matrix, bias, x, y, row, column),
+                4.. => product_rows::<I, 4>(isa, matrix, bias, x, y, row, column),
+                2.. => product_rows::<I, 2>(isa, matrix, bias, x, y, row, column),
+                _ => product_rows::<I, 1>(isa, matrix, bias, x, y, row, column),
+            };
+        }
     }
 }
 
@@ -242,24 +254,23 @@ fn product_rows<I: Lanes<LANES>, const ROWS: usize>(
     x: &[Row],
     y: &mut [Row],
     row: usize,
+    column: usize,
 ) -> usize {
     let stride = y.len();
-    for column in 0..COLUMNS {
-        let mut sums = [isa.splat(0.0); ROWS];
-        if let Some(bias) = bias {
-            for r in 0..ROWS {
-                sums[r] = isa.splat(bias[row + r]);
-            }
-        }
-        for (x, weights) in x.iter().zip(matrix.chunks_exact(stride)) {
-            let (x, weights) = (isa.load(&x[column]), &weights[row..row + ROWS]);
-            for r in 0..ROWS {
-                sums[r] = isa.fma(isa.splat(weights[r]), x, sums[r]);
-            }
-        }
+    let mut sums = [isa.splat(0.0); ROWS];
+    if let Some(bias) = bias {
         for r in 0..ROWS {
-            isa.store(sums[r], &mut y[row + r][column]);
+            sums[r] = isa.splat(bias[row + r]);
         }
+    }
+    for (x, weights) in x.iter().zip(matrix.chunks_exact(stride)) {
+        let (x, weights) = (isa.load(&x[column]), &weights[row..row + ROWS]);
+        for r in 0..ROWS {
+            sums[r] = isa.fma(isa.splat(weights[r]), x, sums[r]);
+        }
+    }
+    for r in 0..ROWS {
+        isa.store(sums[r], &mut y[row + r][column]);
     }
     ROWS
 }
@@ -294,8 +305,7 @@ fn dot_products<I: Lanes<LANES>, const O: usize, const N: usize>(
     o: usize,
     i: usize,
 ) -> usize {
-    let delta: [&Row; O] = std::array::from_fn(|a| &delta[o + a]);
-    let rows: [&Row; N] = std::array::from_fn(|b| &x[i + b]);
+    let (delta, rows) = (&delta[o..o + O], &x[i..i + N]);
     let mut sums = [[isa.splat(0.0); N]; O];
     for column in 0..COLUMNS {
         for a in 0..O {

@@ -2,13 +2,13 @@
 
 use glimt_core::dispatch;
 use glimt_core::microfacet::Microfacet;
-use glimt_core::simd::LANES;
+use glimt_core::simd::{LANES, Lanes, Real, Vector};
 
 use crate::analytic::{self, Derivatives};
 use crate::backprop::{COLUMNS, Row, ZERO_ROW};
 use crate::loss::Loss;
 use crate::objective::Objective;
-use crate::pairs::{PairBlock, TargetBlock};
+use crate::pairs::{PairBlock, TargetBlock, lanes};
 
 /// Fits k_d, η and α alone.
 #[derive(Clone, Copy, Debug)]
@@ -39,28 +39,25 @@ impl Default for AnalyticRows {
     }
 }
 
-/// The direction in one lane of a block.
+/// The directions in one column of a block.
 #[inline(always)]
-pub(crate) fn direction(rows: &[Row; 3], column: usize, lane: usize) -> [f32; 3] {
-    [rows[0][column][lane], rows[1][column][lane], rows[2][column][lane]]
+pub(crate) fn column_of<I: Lanes<LANES>>(isa: I, rows: &[Row; 3], column: usize) -> [Vector<I, LANES>; 3] {
+    Vector::load3(isa, &lanes(rows, column))
 }
 
 dispatch! {
     /// Evaluates `parameters` for a block.
-    pub fn evaluate(_isa, parameters: &Microfacet, pairs: &PairBlock, rows: &mut AnalyticRows) {
+    pub fn evaluate(isa, parameters: &Microfacet, pairs: &PairBlock, rows: &mut AnalyticRows) {
         for column in 0..COLUMNS {
-            for lane in 0..LANES {
-                let light = direction(&pairs.light, column, lane);
-                let view = direction(&pairs.view, column, lane);
-                let d = Derivatives::new(parameters, light, view);
-                for c in 0..3 {
-                    rows.value[c][column][lane] = d.value[c];
-                    rows.eta[c][column][lane] = d.eta[c];
-                    rows.specular[c][column][lane] = d.specular[c];
-                }
-                rows.log_alpha[0][column][lane] = d.log_alpha[0];
-                rows.log_alpha[1][column][lane] = d.log_alpha[1];
+            let (light, view) = (column_of(isa, &pairs.light, column), column_of(isa, &pairs.view, column));
+            let d = Derivatives::new(parameters, light, view);
+            for c in 0..3 {
+                d.value[c].store(&mut rows.value[c][column]);
+                d.eta[c].store(&mut rows.eta[c][column]);
+                d.specular[c].store(&mut rows.specular[c][column]);
             }
+            d.log_alpha[0].store(&mut rows.log_alpha[0][column]);
+            d.log_alpha[1].store(&mut rows.log_alpha[1][column]);
         }
     }
 }
@@ -76,47 +73,43 @@ impl AnalyticRows {
 }
 
 dispatch! {
-    fn accumulate(_isa, rows: &AnalyticRows, delta: &[Row; 3], sums: &mut [[f32; LANES]; 8]) {
+    fn accumulate(isa, rows: &AnalyticRows, delta: &[Row; 3], sums: &mut [[f32; LANES]; 8]) {
+        let mut total = [Vector::<I, LANES>::new(isa, 0.0); 8];
         for column in 0..COLUMNS {
-            for lane in 0..LANES {
-                let d = Derivatives {
-                    value: [0.0; 3],
-                    eta: [rows.eta[0][column][lane], rows.eta[1][column][lane], rows.eta[2][column][lane]],
-                    log_alpha: [rows.log_alpha[0][column][lane], rows.log_alpha[1][column][lane]],
-                    specular: [
-                        rows.specular[0][column][lane],
-                        rows.specular[1][column][lane],
-                        rows.specular[2][column][lane],
-                    ],
-                };
-                let mut one = [0.0; 8];
-                d.accumulate([delta[0][column][lane], delta[1][column][lane], delta[2][column][lane]], &mut one);
-                for (sums, one) in sums.iter_mut().zip(one) {
-                    sums[lane] += one;
-                }
-            }
+            let log_alpha = [
+                Vector::load(isa, &rows.log_alpha[0][column]),
+                Vector::load(isa, &rows.log_alpha[1][column]),
+            ];
+            let d = Derivatives {
+                value: column_of(isa, &rows.value, column),
+                eta: column_of(isa, &rows.eta, column),
+                log_alpha,
+                specular: column_of(isa, &rows.specular, column),
+            };
+            d.accumulate(column_of(isa, delta, column), &mut total);
+        }
+        for i in 0..8 {
+            total[i].store(&mut sums[i]);
         }
     }
 }
 
 dispatch! {
-    /// The weighted loss of `model` against `target`, summed into `total` by lanes, and its slopes.
-    pub fn loss_rows(_isa, loss: Loss, pairs: &PairBlock, target: &TargetBlock, model: &[Row; 3], slopes: &mut [Row; 3], total: &mut [f32; LANES],
+    /// The weighted loss of `model` against `target`, added to `total` by lanes, and its slopes.
+    pub fn loss_rows(isa, loss: Loss, pairs: &PairBlock, target: &TargetBlock, model: &[Row; 3], slopes: &mut [Row; 3], total: &mut [f32; LANES],
     ) {
-        for c in 0..3 {
-            for column in 0..COLUMNS {
-                for lane in 0..LANES {
-                    let weight = pairs.weight[column][lane];
-                    let (value, slope) = loss.value_and_slope(
-                        pairs.light[2][column][lane],
-                        target[c][column][lane],
-                        model[c][column][lane],
-                    );
-                    total[lane] += weight * value;
-                    slopes[c][column][lane] = weight * slope;
-                }
+        let mut sum = Vector::<I, LANES>::load(isa, total);
+        for column in 0..COLUMNS {
+            let weight = Vector::<I, LANES>::load(isa, &pairs.weight[column]);
+            let cos_light = Vector::load(isa, &pairs.light[2][column]);
+            let (target, model) = (column_of(isa, target, column), column_of(isa, model, column));
+            for c in 0..3 {
+                let (value, slope) = loss.value_and_slope(cos_light, target[c], model[c]);
+                sum = weight.fma(value, sum);
+                (weight * slope).store(&mut slopes[c][column]);
             }
         }
+        sum.store(total);
     }
 }
 

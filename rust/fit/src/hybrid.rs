@@ -3,17 +3,17 @@
 use glimt_core::dispatch;
 use glimt_core::features::Inputs;
 use glimt_core::hybrid::{Composition, Form};
-use glimt_core::math::exp;
+use glimt_core::math::{exp, sigmoid};
 use glimt_core::microfacet::{Half, Microfacet};
-use glimt_core::simd::{LANES, Vector};
+use glimt_core::simd::{LANES, Real, Vector};
 use serde::{Deserialize, Serialize};
 
 use crate::analytic;
 use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward, sum_row};
-use crate::ggx::{AnalyticRows, direction, evaluate, loss_rows};
+use crate::ggx::{AnalyticRows, column_of, evaluate, loss_rows};
 use crate::loss::Loss;
 use crate::objective::Objective;
-use crate::pairs::{PairBlock, TargetBlock, lanes};
+use crate::pairs::{PairBlock, TargetBlock};
 
 /// Who has a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -211,17 +211,16 @@ const MAX_RESIDUAL: f32 = 16.0;
 dispatch! {
     fn fill_features(isa, form: Form, alpha: [f32; 2], pairs: &PairBlock, analytic: &[Row; 3], inputs: &mut [Row]) {
         for column in 0..COLUMNS {
-            let light = Vector::load3(isa, &lanes(&pairs.light, column));
-            let view = Vector::load3(isa, &lanes(&pairs.view, column));
+            let (light, view) = (column_of(isa, &pairs.light, column), column_of(isa, &pairs.view, column));
             let x = form.inputs.compute(light, view, alpha);
             let count = form.inputs.count();
             for i in 0..count {
                 x[i].store(&mut inputs[i][column]);
             }
             if form.analytic_input {
+                let f = column_of(isa, analytic, column);
                 for c in 0..3 {
-                    let f = Vector::<I, LANES>::load(isa, &analytic[c][column]);
-                    Form::analytic_feature(f).store(&mut inputs[count + c][column]);
+                    Form::analytic_feature(f[c]).store(&mut inputs[count + c][column]);
                 }
             }
         }
@@ -234,14 +233,15 @@ fn compose(composition: Composition, workspace: &mut HybridWorkspace) {
 }
 
 dispatch! {
-    fn compose_rows(_isa, composition: Composition, analytic: &[Row; 3], outputs: &[Row], model: &mut [Row; 3]) {
-        for c in 0..3 {
-            for column in 0..COLUMNS {
-                for lane in 0..LANES {
-                    let a = outputs[c][column][lane];
-                    let b = outputs[(c + 3).min(outputs.len() - 1)][column][lane];
-                    model[c][column][lane] = composition.compose(a, b, analytic[c][column][lane], MAX_RESIDUAL);
-                }
+    fn compose_rows(isa, composition: Composition, analytic: &[Row; 3], outputs: &[Row], model: &mut [Row; 3]) {
+        // A composition of three outputs has no b.
+        let second = outputs.len() - 3;
+        for column in 0..COLUMNS {
+            let f_a = column_of(isa, analytic, column);
+            for c in 0..3 {
+                let a = Vector::load(isa, &outputs[c][column]);
+                let b = Vector::load(isa, &outputs[c + second][column]);
+                composition.compose(a, b, f_a[c], MAX_RESIDUAL).store(&mut model[c][column]);
             }
         }
     }
@@ -262,31 +262,34 @@ fn differentiate(objective: &HybridObjective, workspace: &mut HybridWorkspace) {
 }
 
 dispatch! {
-    fn differentiate_rows(_isa, objective: &HybridObjective, analytic: &[Row; 3], outputs: &[Row], slopes: &[Row; 3],
+    fn differentiate_rows(isa, objective: &HybridObjective, analytic: &[Row; 3], outputs: &[Row], slopes: &[Row; 3],
         analytic_slopes: &mut [Row; 3], delta: &mut [Row],
     ) {
-        let joint = if objective.joint { 1.0 } else { 0.0 };
-        for c in 0..3 {
-            for column in 0..COLUMNS {
-                for lane in 0..LANES {
-                    let slope = slopes[c][column][lane];
-                    let f_a = analytic[c][column][lane];
-                    let a = outputs[c][column][lane];
-                    let exp_a = exp(a.min(MAX_RESIDUAL));
-                    let (by_a, by_analytic) = match objective.form.composition {
-                        Composition::GatedResidual => {
-                            let gate = 1.0 / (1.0 + exp(-outputs[c + 3][column][lane]));
-                            delta[c + 3][column][lane] = slope * gate * (1.0 - gate) * f_a;
-                            (exp_a, gate)
-                        }
-                        Composition::Additive => {
-                            let inside = if f_a + a > 0.0 { 1.0 } else { 0.0 };
-                            (inside, inside)
-                        }
-                        Composition::LogMultiplicative => (f_a * exp_a, exp_a),
-                    };
-                    delta[c][column][lane] = slope * by_a;
-                    analytic_slopes[c][column][lane] += joint * slope * by_analytic;
+        let one = Vector::<I, LANES>::new(isa, 1.0);
+        for column in 0..COLUMNS {
+            let (f_a, slope) = (column_of(isa, analytic, column), column_of(isa, slopes, column));
+            for c in 0..3 {
+                let a = Vector::load(isa, &outputs[c][column]);
+                let (by_a, by_analytic) = match objective.form.composition {
+                    Composition::GatedResidual => {
+                        let gate = sigmoid(Vector::load(isa, &outputs[c + 3][column]));
+                        (slope[c] * gate * (one - gate) * f_a[c]).store(&mut delta[c + 3][column]);
+                        (exp(a.at_most(MAX_RESIDUAL)), gate)
+                    }
+                    Composition::Additive => {
+                        let zero = one - one;
+                        let inside = one.or_else(zero.less(f_a[c] + a), zero);
+                        (inside, inside)
+                    }
+                    Composition::LogMultiplicative => {
+                        let exp_a = exp(a.at_most(MAX_RESIDUAL));
+                        (f_a[c] * exp_a, exp_a)
+                    }
+                };
+                (slope[c] * by_a).store(&mut delta[c][column]);
+                if objective.joint {
+                    let before = Vector::load(isa, &analytic_slopes[c][column]);
+                    slope[c].fma(by_analytic, before).store(&mut analytic_slopes[c][column]);
                 }
             }
         }
@@ -295,17 +298,26 @@ dispatch! {
 
 /// Σ over the block of ∂loss/∂(lobe feature) times its derivatives by α_x and α_y.
 fn lobe_sums(parameters: &Microfacet, pairs: &PairBlock, delta: &Row) -> [f64; 2] {
-    let mut sums = [0.0; 2];
-    for (column, delta) in delta.iter().enumerate() {
-        for (lane, &delta) in delta.iter().enumerate() {
-            let light = direction(&pairs.light, column, lane);
-            let view = direction(&pairs.view, column, lane);
-            let slopes = Inputs::lobe_derivative(&Half::new(light, view), parameters.alpha);
-            sums[0] += f64::from(delta * slopes[0]);
-            sums[1] += f64::from(delta * slopes[1]);
+    let mut lanes = [[0.0; LANES]; 2];
+    lobe_lanes(parameters.alpha, pairs, delta, &mut lanes);
+    lanes.map(|lanes| lanes.iter().map(|&x| f64::from(x)).sum())
+}
+
+dispatch! {
+    fn lobe_lanes(isa, alpha: [f32; 2], pairs: &PairBlock, delta: &Row, sums: &mut [[f32; LANES]; 2]) {
+        let mut total = [Vector::<I, LANES>::new(isa, 0.0); 2];
+        for column in 0..COLUMNS {
+            let half = Half::new(column_of(isa, &pairs.light, column), column_of(isa, &pairs.view, column));
+            let slopes = Inputs::lobe_derivative(&half, alpha);
+            let delta = Vector::load(isa, &delta[column]);
+            for axis in 0..2 {
+                total[axis] = delta.fma(slopes[axis], total[axis]);
+            }
+        }
+        for axis in 0..2 {
+            total[axis].store(&mut sums[axis]);
         }
     }
-    sums
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! What a fit minimises: per pair and channel, a function of the reference f and the model's f̂.
 
 use glimt_core::math::ln;
+use glimt_core::simd::Real;
 use serde::{Deserialize, Serialize};
 
 /// The error of f̂ against f at light cosine c, with e = ln(1 + c f̂) − ln(1 + c f):
@@ -22,19 +23,24 @@ impl Loss {
     /// The paper's loss (eq. 5).
     pub const PAPER: Loss = Loss { absolute: 0.0, squared: 1.0, relative: 0.0 };
 
-    /// The loss and its derivative with respect to f̂.
+    /// The loss and its derivative with respect to f̂, in any number of lanes.
     #[inline(always)]
     #[must_use]
-    pub fn value_and_slope(&self, cos_light: f32, f: f32, model: f32) -> (f32, f32) {
-        let e = ln((1.0 + cos_light * model) / (1.0 + cos_light * f));
-        let e_slope = cos_light / (1.0 + cos_light * model);
-        let sign = if model > f { 1.0 } else { -1.0 };
+    pub fn value_and_slope<F: Real>(&self, cos_light: F, f: F, model: F) -> (F, F) {
+        let one = f.splat(1.0);
+        let model_scale = cos_light.fma(model, one);
+        let e = ln(model_scale / cos_light.fma(f, one));
+        let e_slope = cos_light / model_scale;
+        let sign = one.or_else(f.less(model), -one);
+        let value = e.magnitude() * self.absolute + e * e * self.squared;
+        let slope = (sign * self.absolute + e * (2.0 * self.squared)) * e_slope;
+        if self.relative == 0.0 {
+            return (value, slope);
+        }
         let sum = model + f + RELATIVE_FLOOR;
-        let difference = (model - f).abs();
-        let value = self.absolute * e.abs() + self.squared * e * e + self.relative * 2.0 * difference / sum;
-        let slope = (self.absolute * sign + 2.0 * self.squared * e) * e_slope
-            + self.relative * 2.0 * (sign * sum - difference) / (sum * sum);
-        (value, slope)
+        let difference = (model - f).magnitude();
+        let scale = sum.splat(2.0 * self.relative) / sum;
+        (value + difference * scale, slope + (sign * sum - difference) * scale / sum)
     }
 }
 

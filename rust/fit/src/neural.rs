@@ -10,7 +10,7 @@ use glimt_core::dispatch;
 use glimt_core::math::exp;
 use glimt_core::network::{Activation, Layer, Network};
 use glimt_core::neural::{FEATURES, FRAME_OUTPUTS, FRAMES, Shared, frame};
-use glimt_core::simd::LANES;
+use glimt_core::simd::{LANES, Real, Vector};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -293,12 +293,11 @@ impl Objective for NeuralObjective {
 }
 
 dispatch! {
-    fn bounded_exp(_isa, outputs: &[Row], model: &mut [Row; 3]) {
-        for c in 0..3 {
-            for column in 0..COLUMNS {
-                for lane in 0..LANES {
-                    model[c][column][lane] = exp(outputs[c][column][lane].min(MAX_OUTPUT));
-                }
+    fn bounded_exp(isa, outputs: &[Row], model: &mut [Row; 3]) {
+        for column in 0..COLUMNS {
+            for c in 0..3 {
+                let output = Vector::<I, LANES>::load(isa, &outputs[c][column]);
+                exp(output.at_most(MAX_OUTPUT)).store(&mut model[c][column]);
             }
         }
     }

@@ -45,12 +45,18 @@ pub trait Lanes<const L: usize>: Copy {
     /// A truth value for each.
     type Mask: Copy;
 
+    /// Runs a task as a function of its own, compiled once for the instruction set and the lanes, whatever
+    /// kernels need it.
+    fn run<T: Task<L>>(self, task: T);
+
     /// The same number in every lane.
     fn splat(self, x: f32) -> Self::Vector;
     /// From memory, at any alignment.
     fn load(self, x: &[f32; L]) -> Self::Vector;
     /// To memory, at any alignment.
     fn store(self, x: Self::Vector, to: &mut [f32; L]);
+    /// `L` vectors of three, one after another in memory, as components side by side.
+    fn load_triples(self, xyz: &[[f32; 3]; L]) -> [Self::Vector; 3];
     /// a + b.
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// a − b.
@@ -84,6 +90,12 @@ pub trait Lanes<const L: usize>: Copy {
     fn power_of_two(self, n: Self::Vector) -> Self::Vector;
     /// (n, m) with x = m 2ⁿ and m in [√½, √2), for positive normal numbers x.
     fn exponent_and_mantissa(self, x: Self::Vector) -> (Self::Vector, Self::Vector);
+}
+
+/// A part of kernels that is large enough to be a function of its own, see [`Lanes::run`].
+pub trait Task<const L: usize> {
+    /// Does it. To be marked `#[inline(always)]`.
+    fn run<I: Lanes<L>>(self, isa: I);
 }
 
 /// An instruction set, in every number of lanes.

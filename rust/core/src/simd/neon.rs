@@ -61,6 +61,13 @@ impl Register for float32x4_t {
         unsafe { vst1q_f32(to, self) }
     }
 
+    #[inline(always)]
+    unsafe fn load_triples(from: *const f32) -> [Self; 3] {
+        // SAFETY: the caller's promise of twelve floats.
+        let float32x4x3_t(x, y, z) = unsafe { vld3q_f32(from) };
+        [x, y, z]
+    }
+
     operations! {
         add(a, b) = vaddq_f32(a, b);
         sub(a, b) = vsubq_f32(a, b);

@@ -60,6 +60,17 @@ impl Register for Quad {
         unsafe { *to.cast::<[f32; 4]>() = self.0 };
     }
 
+    #[inline(always)]
+    unsafe fn load_triples(from: *const f32) -> [Self; 3] {
+        // SAFETY: the caller's promise of twelve floats.
+        let v = unsafe { *from.cast::<[[f32; 3]; 4]>() };
+        let mut y = [Quad([0.0; 4]); 3];
+        for c in 0..3 {
+            y[c] = Quad([v[0][c], v[1][c], v[2][c], v[3][c]]);
+        }
+        y
+    }
+
     lane_by_lane! {
         add(a, b) = a + b;
         sub(a, b) = a - b;

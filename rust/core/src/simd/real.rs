@@ -49,6 +49,12 @@ pub trait Real:
         self.splat(1.0) / self
     }
 
+    /// |self|.
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        self.max(-self)
+    }
+
     /// self limited to [low, high]; NaN stays NaN.
     #[inline(always)]
     fn clamped(self, low: f32, high: f32) -> Self {
@@ -142,6 +148,13 @@ impl<I: Lanes<L>, const L: usize> Vector<I, L> {
     #[inline(always)]
     pub fn load3(isa: I, x: &[[f32; L]; 3]) -> [Self; 3] {
         [Self::load(isa, &x[0]), Self::load(isa, &x[1]), Self::load(isa, &x[2])]
+    }
+
+    /// Three components of vectors that stand one after another.
+    #[inline(always)]
+    pub fn load_triples(isa: I, xyz: &[[f32; 3]; L]) -> [Self; 3] {
+        let [x, y, z] = isa.load_triples(xyz);
+        [Vector { isa, lanes: x }, Vector { isa, lanes: y }, Vector { isa, lanes: z }]
     }
 
     /// To memory.

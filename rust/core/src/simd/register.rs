@@ -4,7 +4,7 @@
 ///
 /// # Safety
 /// The methods may only be called where the machine has the register's instruction set; `load` and `store`
-/// touch as many floats as the register has.
+/// touch as many floats as the register has, `load_triples` three times as many.
 pub trait Register: Copy {
     type Mask: Copy;
     const LANES: usize;
@@ -12,6 +12,8 @@ pub trait Register: Copy {
     unsafe fn splat(x: f32) -> Self;
     unsafe fn load(from: *const f32) -> Self;
     unsafe fn store(self, to: *mut f32);
+    /// As many vectors of three as the register has lanes.
+    unsafe fn load_triples(from: *const f32) -> [Self; 3];
     unsafe fn add(self, b: Self) -> Self;
     unsafe fn sub(self, b: Self) -> Self;
     unsafe fn mul(self, b: Self) -> Self;
@@ -32,11 +34,23 @@ pub trait Register: Copy {
 
 /// Implements [`Lanes`](super::Lanes) of an instruction set for one number of lanes, as an array of registers.
 macro_rules! lanes {
-    ($isa:ty: $lanes:literal in $count:literal x $register:ty, $rows:literal rows) => {
+    ($isa:ty $([$features:literal])?: $lanes:literal in $count:literal x $register:ty, $rows:literal rows) => {
         impl $crate::simd::Lanes<$lanes> for $isa {
             const ROWS: usize = $rows;
             type Vector = [$register; $count];
             type Mask = [<$register as Register>::Mask; $count];
+
+            fn run<T: $crate::simd::Task<$lanes>>(self, task: T) {
+                $(#[target_feature(enable = $features)])?
+                fn compiled<I: $crate::simd::Lanes<$lanes>, T: $crate::simd::Task<$lanes>>(isa: I, task: T) {
+                    task.run(isa);
+                }
+                // SAFETY: `self` is the proof of the instruction set.
+                #[allow(unused_unsafe)]
+                unsafe {
+                    compiled(self, task);
+                }
+            }
 
             #[inline(always)]
             fn splat(self, x: f32) -> Self::Vector {
@@ -52,6 +66,19 @@ macro_rules! lanes {
                     let mut y = [<$register>::splat(0.0); $count];
                     for i in 0..$count {
                         y[i] = <$register>::load(x.as_ptr().add(i * <$register as Register>::LANES));
+                    }
+                    y
+                }
+            }
+
+            #[inline(always)]
+            fn load_triples(self, xyz: &[[f32; 3]; $lanes]) -> [Self::Vector; 3] {
+                // SAFETY: `self` is the proof of the instruction set; the registers have the floats of `xyz`.
+                unsafe {
+                    let mut y = [[<$register>::splat(0.0); $count]; 3];
+                    for i in 0..$count {
+                        let from = xyz.as_ptr().add(i * <$register as Register>::LANES).cast();
+                        [y[0][i], y[1][i], y[2][i]] = <$register>::load_triples(from);
                     }
                     y
                 }

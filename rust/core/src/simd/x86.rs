@@ -22,10 +22,10 @@ impl Isa for Avx2 {
     const BATCH: usize = 16;
 }
 
-lanes!(Avx2: 4 in 1 x __m128, 8 rows);
-lanes!(Avx2: 8 in 1 x __m256, 8 rows);
-lanes!(Avx2: 16 in 2 x __m256, 4 rows);
-lanes!(Avx2: 32 in 4 x __m256, 2 rows);
+lanes!(Avx2 ["avx2,fma"]: 4 in 1 x __m128, 8 rows);
+lanes!(Avx2 ["avx2,fma"]: 8 in 1 x __m256, 8 rows);
+lanes!(Avx2 ["avx2,fma"]: 16 in 2 x __m256, 6 rows);
+lanes!(Avx2 ["avx2,fma"]: 32 in 4 x __m256, 2 rows);
 
 /// AVX-512 (foundation), with AVX2 and FMA.
 #[derive(Clone, Copy)]
@@ -44,10 +44,10 @@ impl Isa for Avx512 {
     const BATCH: usize = 32;
 }
 
-lanes!(Avx512: 4 in 1 x __m128, 8 rows);
-lanes!(Avx512: 8 in 1 x __m256, 8 rows);
-lanes!(Avx512: 16 in 1 x __m512, 8 rows);
-lanes!(Avx512: 32 in 2 x __m512, 8 rows);
+lanes!(Avx512 ["avx512f,avx2,fma"]: 4 in 1 x __m128, 8 rows);
+lanes!(Avx512 ["avx512f,avx2,fma"]: 8 in 1 x __m256, 8 rows);
+lanes!(Avx512 ["avx512f,avx2,fma"]: 16 in 1 x __m512, 8 rows);
+lanes!(Avx512 ["avx512f,avx2,fma"]: 32 in 2 x __m512, 8 rows);
 
 /// The operations that the intrinsics of all three widths spell alike.
 macro_rules! alike {
@@ -150,6 +150,21 @@ impl Register for __m128 {
         _mm_cvtps_epi32 _mm_cvtepi32_ps);
 
     #[inline(always)]
+    unsafe fn load_triples(from: *const f32) -> [Self; 3] {
+        unsafe {
+            // x₀y₀z₀x₁ y₁z₁x₂y₂ z₂x₃y₃z₃
+            let [a, b, c] = [_mm_loadu_ps(from), _mm_loadu_ps(from.add(4)), _mm_loadu_ps(from.add(8))];
+            let xy = _mm_shuffle_ps::<0b10_01_11_10>(b, c);
+            let yz = _mm_shuffle_ps::<0b01_00_10_01>(a, b);
+            [
+                _mm_shuffle_ps::<0b10_00_11_00>(a, xy),
+                _mm_shuffle_ps::<0b11_01_10_00>(yz, xy),
+                _mm_shuffle_ps::<0b11_00_11_01>(yz, c),
+            ]
+        }
+    }
+
+    #[inline(always)]
     unsafe fn less(self, b: Self) -> __m128 {
         unsafe { _mm_cmplt_ps(self, b) }
     }
@@ -182,6 +197,20 @@ impl Register for __m256 {
         _mm256_cvtepi32_ps);
 
     #[inline(always)]
+    unsafe fn load_triples(from: *const f32) -> [Self; 3] {
+        unsafe {
+            // The first four vectors in the low halves, the others in the high halves.
+            let [low, high] =
+                [<__m128 as Register>::load_triples(from), <__m128 as Register>::load_triples(from.add(12))];
+            [
+                _mm256_set_m128(high[0], low[0]),
+                _mm256_set_m128(high[1], low[1]),
+                _mm256_set_m128(high[2], low[2]),
+            ]
+        }
+    }
+
+    #[inline(always)]
     unsafe fn less(self, b: Self) -> __m256 {
         unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self, b) }
     }
@@ -212,6 +241,20 @@ impl Register for __m512 {
         _mm512_castsi512_ps _mm512_max_epi32 _mm512_min_epi32 _mm512_add_epi32 _mm512_sub_epi32
         _mm512_setzero_si512 _mm512_set1_epi32 _mm512_slli_epi32 _mm512_srai_epi32 _mm512_cvtps_epi32
         _mm512_cvtepi32_ps);
+
+    #[inline(always)]
+    unsafe fn load_triples(from: *const f32) -> [Self; 3] {
+        unsafe {
+            let [low, high] =
+                [<__m256 as Register>::load_triples(from), <__m256 as Register>::load_triples(from.add(24))];
+            let mut y = [_mm512_setzero_ps(); 3];
+            for c in 0..3 {
+                let [low, high] = [_mm256_castps_pd(low[c]), _mm256_castps_pd(high[c])];
+                y[c] = _mm512_castpd_ps(_mm512_insertf64x4::<1>(_mm512_castpd256_pd512(low), high));
+            }
+            y
+        }
+    }
 
     #[inline(always)]
     unsafe fn less(self, b: Self) -> __mmask16 {
