@@ -20,7 +20,7 @@ use crate::lobes::Lobes;
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
 use crate::model::Model;
-use crate::network::{Network, Rows, check_latent};
+use crate::network::{Network, One, Rows, check_latent};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -303,7 +303,8 @@ impl Kernel for Hybrid {
         for i in 0..MAX_INPUTS {
             first[i] = x[i][0];
         }
-        let y = self.network.forward_one(isa, &self.first_bias, &first);
+        let mut y = One::default();
+        self.network.forward_one(isa, &self.first_bias, &first, &mut y);
         let mut f = [0.0; 3];
         for c in 0..3 {
             let [a, b] = [Vector::new(isa, y[c]), Vector::new(isa, y[c + 3])];

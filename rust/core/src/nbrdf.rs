@@ -13,7 +13,7 @@ use crate::kernel::{Kernel, splat3};
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
-use crate::network::{Network, Rows};
+use crate::network::{Network, One, Rows};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -107,7 +107,8 @@ impl Kernel for Nbrdf {
         for i in 0..FEATURES {
             x[i] = features[i].first();
         }
-        let y = self.network.forward_one(isa, &self.first_bias, &x);
+        let mut y = One::default();
+        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
         let f = radiance(Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0])).to_array();
         Vec3::new(f[0], f[1], f[2])
     }

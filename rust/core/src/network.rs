@@ -239,7 +239,23 @@ impl PackedLayer {
 
 /// The values of a layer for one sample.
 #[repr(align(64))]
-struct One([f32; MAX_WIDTH]);
+pub struct One([f32; MAX_WIDTH]);
+
+impl Default for One {
+    #[inline(always)]
+    fn default() -> Self {
+        One([0.0; MAX_WIDTH])
+    }
+}
+
+impl std::ops::Deref for One {
+    type Target = [f32; MAX_WIDTH];
+
+    #[inline(always)]
+    fn deref(&self) -> &[f32; MAX_WIDTH] {
+        &self.0
+    }
+}
 
 /// `sums[v]` += the weights of one input, `column`, times its value x.
 #[inline(always)]
@@ -603,17 +619,16 @@ impl Network {
 
     /// Evaluates one sample: `x[feature]` to `y[output]`, otherwise as [`Network::forward_tile`].
     #[inline(always)]
-    pub fn forward_one<I: Isa>(&self, isa: I, first_bias: &[Lane], x: &[f32]) -> [f32; MAX_WIDTH] {
+    pub fn forward_one<I: Isa>(&self, isa: I, first_bias: &[Lane], x: &[f32], y: &mut One) {
+        let mut hidden = One::default();
         let last = self.packed.len() - 1;
-        let mut from = One([0.0; MAX_WIDTH]);
+        let [mut from, mut to] = if last.is_multiple_of(2) { [&mut hidden, y] } else { [y, &mut hidden] };
         for (i, layer) in self.packed.iter().enumerate() {
-            let mut to = One([0.0; MAX_WIDTH]);
             let bias = if i == 0 { first_bias } else { &layer.bias };
-            let x = if i == 0 { x } else { &from.0 };
-            layer.forward_one(isa, bias, x, &mut to, (i < last).then_some(self.activation));
-            from = to;
+            let x = if i == 0 { x } else { &from[..] };
+            layer.forward_one(isa, bias, x, to, (i < last).then_some(self.activation));
+            std::mem::swap(&mut from, &mut to);
         }
-        from.0
     }
 }
 
@@ -683,8 +698,8 @@ pub(crate) mod tests {
         }
     }
     crate::dispatch! {
-        fn forward_one(isa, n: &Network, bias: &[Lane], x: &[f32], y: &mut [f32; MAX_WIDTH]) {
-            *y = n.forward_one(isa, bias, x);
+        fn forward_one(isa, n: &Network, bias: &[Lane], x: &[f32], y: &mut One) {
+            n.forward_one(isa, bias, x, y);
         }
     }
 
@@ -714,7 +729,7 @@ pub(crate) mod tests {
                 forward_tile(&network, &bias, &x, &mut tile);
                 for lane in 0..LANES {
                     let one: Vec<f32> = x[..features].iter().map(|x| x[lane]).collect();
-                    let mut y = [0.0; MAX_WIDTH];
+                    let mut y = One::default();
                     forward_one(&network, &bias, &one, &mut y);
                     let features: Vec<f64> = one.iter().map(|&x| x.into()).collect();
                     let latent: Vec<f64> = latent.iter().map(|&z| z.into()).collect();

@@ -17,7 +17,7 @@ use crate::kernel::Kernel;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
-use crate::network::{LARGEST_INPUT, Layer, Network, Rows, check_latent};
+use crate::network::{LARGEST_INPUT, Layer, Network, One, Rows, check_latent};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -206,7 +206,8 @@ impl Kernel for Neural {
     #[inline(always)]
     fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
         let x = [light.x, light.y, light.z, view.x, view.y, view.z];
-        let y = self.network.forward_one(isa, &self.first_bias, &x);
+        let mut y = One::default();
+        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
         let f = bounded_exp(Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0]), self.bound).to_array();
         Vec3::new(f[0], f[1], f[2])
     }

@@ -277,7 +277,7 @@ dispatch! {
                         (exp(a.at_most(MAX_RESIDUAL)), gate)
                     }
                     Composition::Additive => {
-                        let zero = one - one;
+                        let zero = one.splat(0.0);
                         let inside = one.or_else(zero.less(f_a[c] + a), zero);
                         (inside, inside)
                     }
