@@ -58,8 +58,10 @@ dispatch! {
         let mut y = Rows::default();
         network.forward_tile(isa, &lanes.first_bias[..], &lanes.x, &mut y);
         let (bound, zero) = (Vector::load(isa, &lanes.bound), Vector::new(isa, 0.0));
+        // A composition of three outputs has no b.
+        let second = y.len() - 3;
         for c in 0..3 {
-            let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + 3])];
+            let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
             let analytic = Vector::load(isa, &lanes.analytic[c]);
             // The lanes have their bounds already.
             let f = form.composition.compose(bound.min(a), b, analytic, f32::INFINITY);
