@@ -458,7 +458,7 @@ mod tests {
         assert!(new(FORMS[5], good.microfacet, z.clone()).contains("expected 9"));
         assert!(new(FORMS[3], good.microfacet, z.clone()).contains("to 3"));
         assert!(new(Form::PAPER, good.microfacet, vec![0.0; 3]).contains("expected 4"));
-        assert!(new(Form::PAPER, good.microfacet, vec![f32::NAN; 4]).contains("not finite"));
+        assert!(new(Form::PAPER, good.microfacet, vec![f32::NAN; 4]).contains("holds NaN"));
         assert!(
             new(Form::PAPER, Microfacet { alpha: [2.0; 2], ..good.microfacet }, z).contains("alpha is 2")
         );
