@@ -1,11 +1,11 @@
 #pragma once
 
-#include <limits>
 #include <vector>
 
 #include <mitsuba/core/vector.h>
 
 #include "glimt-ffi/src/bridge.rs.h"
+#include "microfacet.h"
 
 namespace glimt {
 
@@ -50,16 +50,17 @@ public:
 private:
     /// Half vector and difference.
     TracedFeatures(const Vector3f &light, const Vector3f &view) {
-        Vector3f h = light + view, d = light - view;
+        Vector3f h = TracedMicrofacet<Float>::half_vector(light, view), d = light - view;
         tangential = Vector2f(h.x() * h.x(), h.y() * h.y());
         height = h.z() * h.z();
-        Float across = tangential.x() + tangential.y();
-        Float length_squared = dr::maximum(across + height, Tiny);
+        Float across_squared = tangential.x() + tangential.y();
+        Float length_squared = across_squared + height;
         Float length = dr::sqrt(length_squared);
-        Float one_minus_cos = across / (length_squared + length * h.z());
-        Float inverse_across = inverse_or_zero(across);
+        Float one_minus_cos = across_squared / (length_squared + length * h.z());
+        Float inverse_across = inverse_or_zero(across_squared);
         azimuth_h = Vector2f(h.x(), h.y()) * inverse_across;
-        Float along = -d.z() * length * inverse_across;
+        Float outward = d.x() * azimuth_h.x() + d.y() * azimuth_h.y();
+        Float along = (h.z() * outward - root(across_squared) * d.z()) / length;
         Float beside = d.y() * azimuth_h.x() - d.x() * azimuth_h.y();
         Float inverse_d = inverse_or_zero(along * along + beside * beside);
         root_h = root(root(one_minus_cos));
@@ -71,7 +72,7 @@ private:
     /// ln(1 + tan²θ_h/α²), scaled.
     Float lobe(const Vector2f &alpha) const {
         Float slope = tangential.x() / (alpha.x() * alpha.x()) + tangential.y() / (alpha.y() * alpha.y());
-        return LobeScale * dr::log(1.f + dr::minimum(slope / dr::maximum(height, Tiny), Huge));
+        return LobeScale * dr::log(1.f + dr::minimum(slope / height, MaxSlope));
     }
 
     static Float centre(const Float &x) { return 2.f * x - 1.f; }
@@ -81,14 +82,13 @@ private:
         return dr::select(x > 0.f, dr::sqrt(dr::select(x > 0.f, x, 1.f)), 0.f);
     }
 
-    /// 1/√x, or 0 where √x is so small that the direction it would scale is rounding noise.
+    /// 1/√x, or 0 where √x is too small for a direction to be scaled by it.
     static Float inverse_or_zero(const Float &x) {
-        auto sound = x > Noise * Noise;
+        auto sound = x > MinLength * MinLength;
         return dr::select(sound, dr::rcp(dr::sqrt(dr::select(sound, x, 1.f))), 0.f);
     }
 
-    static constexpr float LobeScale = .2f, Noise = 1e-7f;
-    static constexpr float Tiny = std::numeric_limits<float>::min(), Huge = std::numeric_limits<float>::max();
+    static constexpr float LobeScale = .2f, MaxSlope = 1e20f, MinLength = 1e-9f;
 
     /// (1 − cosθ_h)^¼.
     Float root_h;

@@ -30,9 +30,9 @@ template <typename Float> struct TracedLobes {
     Float pdf(const Vector3f &light, const Vector3f &view) const {
         using Microfacet = TracedMicrofacet<Float>;
         Float diffuse = light.z() * dr::InvPi<Float>;
-        Float specular = .5f * Microfacet::ndf(light + view, alpha) /
+        Float specular = .5f * Microfacet::ndf(Microfacet::half_vector(light, view), alpha) /
                          Microfacet::masking_denominator(view, alpha);
-        return diffuse + specular_weight * (specular - diffuse);
+        return (1.f - specular_weight) * diffuse + specular_weight * specular;
     }
 
     /// Chooses a light direction, which failed where it is below the horizon.
@@ -55,10 +55,12 @@ private:
                             const Float &cos_phi) const {
         Vector3f stretch(alpha.x(), alpha.y(), 1.f);
         Vector3f standard_view = dr::normalize(view * stretch);
-        Float z = (1.f - u) * (1.f + standard_view.z()) - standard_view.z();
-        Float r = dr::sqrt(dr::maximum(1.f - z * z, 0.f));
-        Vector3f cap(r * cos_phi, r * sin_phi, z);
-        Vector3f half = dr::normalize((cap + standard_view) * stretch);
+        // Without differences that cancel, see the core.
+        Float x = standard_view.x(), y = standard_view.y(), above = 1.f + standard_view.z();
+        Float height = (1.f - u) * above;
+        Float r = dr::sqrt(dr::maximum(u * (x * x + y * y + above * height), 0.f));
+        Vector3f sum(r * cos_phi + x, r * sin_phi + y, height);
+        Vector3f half = dr::normalize(sum * stretch);
         return 2.f * dr::dot(view, half) * half - view;
     }
 };

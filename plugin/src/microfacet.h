@@ -28,11 +28,17 @@ template <typename Float> struct TracedMicrofacet {
 
     /// f_a for two directions above the horizon.
     Color3f eval(const Vector3f &light, const Vector3f &view) const {
-        Vector3f half = light + view;
+        Vector3f half = half_vector(light, view);
         Float cos_d = dr::minimum(.5f * dr::norm(half), 1.f);
         Float specular = ndf(half, alpha) /
                          (masking_denominator(light, alpha) * masking_denominator(view, alpha));
         return dr::fmadd(kd, dr::InvPi<Float>, fresnel(cos_d, eta) * specular);
+    }
+
+    /// The half vector, not normalised.
+    static Vector3f half_vector(const Vector3f &light, const Vector3f &view) {
+        Vector3f sum = light + view;
+        return { sum.x(), sum.y(), dr::maximum(sum.z(), MinSumZ) };
     }
 
     /// D of the GGX distribution; \c half need not have unit length.
@@ -59,7 +65,7 @@ template <typename Float> struct TracedMicrofacet {
     }
 
 private:
-    static constexpr float Tiny = std::numeric_limits<float>::min();
+    static constexpr float Tiny = std::numeric_limits<float>::min(), MinSumZ = 1e-18f;
 };
 
 } // namespace glimt

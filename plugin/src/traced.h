@@ -100,7 +100,7 @@ private:
 
     /// Half and difference vector with the half vector turned to azimuth 0, Sztrajman et al. 2021.
     Color3f nbrdf(const Vector3f &light, const Vector3f &view) const {
-        Vector3f h = light + view;
+        Vector3f h = TracedMicrofacet<Float>::half_vector(light, view);
         Float across_squared = h.x() * h.x() + h.y() * h.y();
         auto tilted = across_squared > 0.f;
         Float across = dr::sqrt(dr::select(tilted, across_squared, 1.f));

@@ -1,22 +1,31 @@
-//! Does a BSDF do what it says? Conformance tests for any BSDF, and a named catalogue of extreme inputs.
+//! Does a BSDF do what it says? Conformance tests for any BSDF, a named catalogue of extreme inputs,
+//! and the accuracy of every function of the core.
 //!
 //! Reading order: [`subject`] is what can be checked; [`run`] puts one through all tests; [`look`] is one view
 //! of it, whose samples and [`cells`] several tests share. The tests are one file per family: [`horizon`],
 //! [`consistency`], [`sampling`], [`energy`], [`components`], [`symmetry`]; [`audit`] sees every answer.
 //! [`verdict`] says what findings mean, [`report`] and [`page`] show them.
+//!
+//! Numerical stability: [`extremes`] is the catalogue, [`stability`] runs it, [`random_pairs`] goes beyond it,
+//! [`functions`] measures the core's functions; all of them in the units of [`accuracy`].
 
+pub mod accuracy;
 pub mod audit;
 pub mod cells;
 pub mod components;
 pub mod consistency;
 pub mod energy;
+pub mod extremes;
+pub mod functions;
 pub mod horizon;
 pub mod look;
 pub mod page;
 pub mod picture;
+pub mod random_pairs;
 pub mod report;
 pub mod run;
 pub mod sampling;
+pub mod stability;
 pub mod statistics;
 pub mod subject;
 pub mod svg;

@@ -114,7 +114,7 @@ impl Inputs {
     #[must_use]
     pub fn lobe_derivative<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> [F; 2] {
         let spread = half.height + half.slope(alpha);
-        let scale = half.height.splat(-2.0 * LOBE_SCALE) / spread.max(spread.splat(f32::MIN_POSITIVE));
+        let scale = half.height.splat(-2.0 * LOBE_SCALE) / spread;
         let [x, y] = [alpha[0] * alpha[0] * alpha[0], alpha[1] * alpha[1] * alpha[1]];
         [scale * half.tangential[0] * (1.0 / x), scale * half.tangential[1] * (1.0 / y)]
     }
@@ -123,8 +123,14 @@ impl Inputs {
 /// Brings ln(1 + tan²θ_h/α²), which reaches 10 to 20, to the size of the other features.
 const LOBE_SCALE: f32 = 0.2;
 
-/// Squared length below which the direction of a vector is rounding noise.
-const NOISE_SQUARED: f32 = 1e-14;
+/// Largest tan²θ_h/α² that counts. It is reached where h is within 10⁻⁶ of the horizon or less, and
+/// before the limit of [`Half`]'s z shows.
+const MAX_SLOPE: f32 = 1e20;
+
+/// Length of l − v, and of l + v seen along the normal, up to which an azimuth is undefined: the square
+/// of the product of two is still a normal number.
+const MIN_LENGTH: f32 = 1e-9;
+const MIN_LENGTH_SQUARED: f32 = MIN_LENGTH * MIN_LENGTH;
 
 /// [0, 1] to [−1, 1].
 #[inline(always)]
@@ -137,7 +143,7 @@ fn centre<F: Real>(x: F) -> F {
 fn root_h<F: Real>(half: &Half<F>) -> F {
     // 1 − cosθ_h = sin²θ_h/(1 + cosθ_h), with no cancellation near the normal.
     let divisor = half.length_squared + half.length * half.vector[2];
-    (half.across / divisor.max(divisor.splat(f32::MIN_POSITIVE))).sqrt().sqrt()
+    (half.across / divisor).sqrt().sqrt()
 }
 
 /// cos φ_h, sin φ_h; 0 where h = n.
@@ -145,7 +151,7 @@ fn root_h<F: Real>(half: &Half<F>) -> F {
 fn azimuth_h<F: Real>(half: &Half<F>) -> [F; 2] {
     let none = half.across.splat(0.0);
     let inverse = half.across.sqrt().reciprocal();
-    let inverse = inverse.or_else(half.across.splat(NOISE_SQUARED).less(half.across), none);
+    let inverse = inverse.or_else(half.across.splat(MIN_LENGTH_SQUARED).less(half.across), none);
     [half.vector[0] * inverse, half.vector[1] * inverse]
 }
 
@@ -153,15 +159,16 @@ fn azimuth_h<F: Real>(half: &Half<F>) -> [F; 2] {
 /// light = view.
 #[inline(always)]
 fn azimuth_d<F: Real>(half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 2] {
-    let [h_x, h_y, _] = half.vector;
-    // d = light − view is at right angles to h. Its components in the plane of n and h, and along n × h,
-    // are −d_z/sinθ_h and d·(n × h)/|n × h|; here both are multiplied by |n × h|.
+    let [h_x, h_y, h_z] = half.vector;
+    // The components of d = light − view in the plane of n and h, and along n × h, both multiplied by
+    // |n × h| |h|. As d is at right angles to h, the first is −d_z |h|² too, but that takes lengths of
+    // exactly 1, all the more the closer h is to n.
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
-    let along = -d[2] * half.length;
-    let beside = d[1] * h_x - d[0] * h_y;
+    let along = h_z * (d[0] * h_x + d[1] * h_y) - half.across * d[2];
+    let beside = (d[1] * h_x - d[0] * h_y) * half.length;
     let square = along * along + beside * beside;
-    let noise = square.splat(NOISE_SQUARED);
-    let distinct = square.both(noise.less(half.across), (noise * half.across).less(square));
+    let least = square.splat(MIN_LENGTH_SQUARED);
+    let distinct = square.both(least.less(half.across), (least * half.across * half.length_squared).less(square));
     let inverse = square.sqrt().reciprocal().or_else(distinct, square.splat(0.0));
     [along * inverse, beside * inverse]
 }
@@ -169,46 +176,55 @@ fn azimuth_d<F: Real>(half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 2] {
 /// ln(1 + tan²θ_h/α²), scaled; the same in every direction that has the same D(h).
 #[inline(always)]
 fn lobe<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> F {
-    // Both directions above the horizon make h_z² > 0, but it may be denormal.
-    let tangent_squared = half.slope(alpha) / half.height.max(half.height.splat(f32::MIN_POSITIVE));
-    ln(tangent_squared.at_most(f32::MAX) + 1.0) * LOBE_SCALE
+    ln((half.slope(alpha) / half.height).at_most(MAX_SLOPE) + 1.0) * LOBE_SCALE
 }
 
 /// The same features in float64 by the angles' definitions. What tests compare against.
 pub mod reference {
-    use super::{Inputs, LOBE_SCALE};
-    use glam::DVec3;
+    use super::{Inputs, LOBE_SCALE, MAX_SLOPE, MIN_LENGTH};
+    use glam::{DMat3, DVec2, DVec3};
 
     /// The features of one pair above the horizon.
     #[must_use]
     pub fn compute(inputs: Inputs, light: DVec3, view: DVec3, alpha: [f64; 2]) -> Vec<f64> {
         let h = (light + view).normalize();
-        let theta_h = h.z.clamp(-1.0, 1.0).acos();
-        let theta_d = light.angle_between(h);
-        let (phi_h, phi_d) = azimuths(light, h);
+        let cos_d = (0.5 * (light + view).length()).min(1.0);
+        // Of the arc functions the tangent's alone keeps the digits of small angles.
+        let theta_h = h.x.hypot(h.y).atan2(h.z);
+        let [cos_h, sin_h] = azimuth((light + view).truncate());
+        let [cos, sin] = azimuth(difference(light, view));
         let root = (2.0 * (theta_h / 2.0).sin().powi(2)).powf(0.25);
         let slope = (h.x / alpha[0]).powi(2) + (h.y / alpha[1]).powi(2);
-        let lobe = f64::from(LOBE_SCALE) * (1.0 + slope / h.z.powi(2)).ln();
+        let lobe = f64::from(LOBE_SCALE) * (1.0 + (slope / h.z.powi(2)).min(MAX_SLOPE.into())).ln();
         let centre = |x: f64| 2.0 * x - 1.0;
-        let (cos_d, sum, product) = (centre(theta_d.cos()), light.z + view.z - 1.0, centre(light.z * view.z));
-        let (x, y) = (root * phi_h.cos(), root * phi_h.sin());
+        let (cos_d, sum, product) = (centre(cos_d), light.z + view.z - 1.0, centre(light.z * view.z));
+        let (x, y) = (root * cos_h, root * sin_h);
+        let (cos_2, sin_2) = (cos * cos - sin * sin, 2.0 * cos * sin);
         let (l, v) = (centre(light.z), centre(view.z));
         match inputs {
             Inputs::Cartesian => [light.to_array(), view.to_array()].concat(),
-            Inputs::Isotropic => vec![centre(root), cos_d, phi_d.cos(), l, v, lobe],
-            Inputs::IsotropicReciprocal => vec![centre(root), cos_d, (2.0 * phi_d).cos(), sum, product, lobe],
-            Inputs::Anisotropic => vec![x, y, cos_d, phi_d.cos(), phi_d.sin(), l, v, lobe],
-            Inputs::AnisotropicReciprocal => {
-                vec![x, y, cos_d, (2.0 * phi_d).cos(), (2.0 * phi_d).sin(), sum, product, lobe]
-            }
+            Inputs::Isotropic => vec![centre(root), cos_d, cos, l, v, lobe],
+            Inputs::IsotropicReciprocal => vec![centre(root), cos_d, cos_2, sum, product, lobe],
+            Inputs::Anisotropic => vec![x, y, cos_d, cos, sin, l, v, lobe],
+            Inputs::AnisotropicReciprocal => vec![x, y, cos_d, cos_2, sin_2, sum, product, lobe],
         }
     }
 
-    /// φ_h, and the azimuth of `light` about h measured as Rusinkiewicz does: rotate h to the pole.
-    fn azimuths(light: DVec3, h: DVec3) -> (f64, f64) {
-        let phi_h = h.y.atan2(h.x);
-        let d = glam::DMat3::from_rotation_y(-h.z.acos()) * (glam::DMat3::from_rotation_z(-phi_h) * light);
-        (phi_h, d.y.atan2(d.x))
+    /// Cosine and sine of a vector's azimuth, 0 where it has none.
+    fn azimuth(v: DVec2) -> [f64; 2] {
+        if v.length() > MIN_LENGTH.into() { v.normalize().into() } else { [0.0; 2] }
+    }
+
+    /// l − v seen as Rusinkiewicz does: rotate h to the pole.
+    fn difference(light: DVec3, view: DVec3) -> DVec2 {
+        let h = light + view;
+        let [cos, sin] = azimuth(h.truncate());
+        if [cos, sin] == [0.0; 2] {
+            return DVec2::ZERO;
+        }
+        let to_azimuth_zero = DMat3::from_cols_array(&[cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]);
+        let theta_h = h.x.hypot(h.y).atan2(h.z);
+        (DMat3::from_rotation_y(-theta_h) * (to_azimuth_zero * (light - view))).truncate()
     }
 }
 

@@ -317,6 +317,7 @@ impl Kernel for Hybrid {
 /// The same model in float64, written as the paper prints it. What tests compare against.
 pub mod reference {
     use super::{ANALYTIC_FLOOR, ANALYTIC_SCALE, Composition, Hybrid};
+    use crate::math::reference::{exp, sigmoid};
     use crate::{features, microfacet, network};
     use glam::DVec3;
 
@@ -334,9 +335,9 @@ pub mod reference {
         std::array::from_fn(|c| {
             let a = y[c].min(material.bound.into());
             match material.form.composition {
-                Composition::GatedResidual => a.exp() + analytic[c] / (1.0 + (-y[c + 3]).exp()),
+                Composition::GatedResidual => exp(a) + sigmoid(y[c + 3]) * analytic[c],
                 Composition::Additive => (analytic[c] + a).max(0.0),
-                Composition::LogMultiplicative => analytic[c] * a.exp(),
+                Composition::LogMultiplicative => analytic[c] * exp(a),
             }
         })
     }

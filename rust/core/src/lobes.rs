@@ -44,7 +44,7 @@ impl Lobes {
     fn pdf_lit(&self, light: Vec3, view: Vec3) -> f32 {
         let diffuse = light.z * FRAC_1_PI;
         let specular = visible_normal_pdf(self.alpha, light, view);
-        diffuse + self.specular_weight * (specular - diffuse)
+        (1.0 - self.specular_weight) * diffuse + self.specular_weight * specular
     }
 
     /// Chooses a light direction; `None` where it falls below the horizon. Arguments as in
@@ -91,7 +91,8 @@ impl Lobes {
     fn relative_moment(&self, probes: &[Probe], candidate: usize) -> f64 {
         let (mut moment, mut albedo) = (0.0, 0.0);
         for probe in probes {
-            let pdf = probe.diffuse + self.specular_weight * (probe.specular[candidate] - probe.diffuse);
+            let pdf = (1.0 - self.specular_weight) * probe.diffuse
+                + self.specular_weight * probe.specular[candidate];
             let response = f64::from(probe.response);
             moment += response * response / f64::from(pdf * probe.pdf);
             albedo += f64::from(probe.response / probe.pdf);
@@ -158,11 +159,15 @@ pub(crate) fn sample_cosine(u1: f32, u2: f32) -> Vec3 {
 fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f32) -> Vec3 {
     let stretch = Vec3::new(alpha[0], alpha[1], 1.0);
     let standard_view = (view * stretch).normalize();
-    let z = (1.0 - u2) * (1.0 + standard_view.z) - standard_view.z;
-    let r = (1.0 - z * z).max(0.0).sqrt();
+    // The cap's z is uniform on [−v_z, 1]. Only z + v_z and 1 − z² are needed, and written as here
+    // they have no difference that cancels: at grazing views, or near either end of the range.
+    let (x, y) = (standard_view.x, standard_view.y);
+    let above = 1.0 + standard_view.z;
+    let height = (1.0 - u2) * above;
+    let r = (u2 * (x * x + y * y + above * height)).max(0.0).sqrt();
     let phi = TAU * u1;
-    let cap = Vec3::new(r * phi.cos(), r * phi.sin(), z);
-    let half = ((cap + standard_view) * stretch).normalize();
+    let sum = Vec3::new(r * phi.cos() + x, r * phi.sin() + y, height);
+    let half = (sum * stretch).normalize();
     2.0 * view.dot(half) * half - view
 }
 
@@ -170,6 +175,39 @@ fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f32) -> Vec3 
 fn visible_normal_pdf(alpha: [f32; 2], light: Vec3, view: Vec3) -> f32 {
     let view: [f32; 3] = view.into();
     0.5 * Half::new(light.into(), view).ndf(alpha) / masking_denominator(view, alpha)
+}
+
+/// The same sampler in float64, written as the papers print it. What tests compare against.
+pub mod reference {
+    use super::Lobes;
+    use crate::microfacet::reference::{g1, ndf};
+    use glam::{DVec2, DVec3};
+    use std::f64::consts::{PI, TAU};
+
+    /// Density of `light`, both directions above the horizon.
+    #[must_use]
+    pub fn pdf(lobes: &Lobes, light: DVec3, view: DVec3) -> f64 {
+        let (alpha, share) = (lobes.alpha.map(f64::from), f64::from(lobes.specular_weight));
+        let half = (light + view).normalize();
+        let specular = g1(view.into(), alpha) * ndf(half.into(), alpha) / (4.0 * view.z);
+        (1.0 - share) * light.z / PI + share * specular
+    }
+
+    /// The direction that [`Lobes::sample_direction`] chooses, also where it is below the horizon.
+    #[must_use]
+    pub fn sample_direction(lobes: &Lobes, view: DVec3, u: DVec3) -> DVec3 {
+        let phi = TAU * if u.x < f64::from(lobes.specular_weight) { u.y } else { u.z };
+        let around = DVec2::from_angle(phi);
+        if u.x >= f64::from(lobes.specular_weight) {
+            return (u.y.sqrt() * around).extend((1.0 - u.y).sqrt());
+        }
+        let stretch = DVec2::from_array(lobes.alpha.map(f64::from)).extend(1.0);
+        let standard_view = (view * stretch).normalize();
+        let z = (1.0 - u.z) * (1.0 + standard_view.z) - standard_view.z;
+        let cap = ((1.0 - z * z).sqrt() * around).extend(z);
+        let half = ((cap + standard_view) * stretch).normalize();
+        2.0 * view.dot(half) * half - view
+    }
 }
 
 #[cfg(test)]

@@ -106,6 +106,23 @@ fn polynomial<F: Real, const N: usize>(x: F, coefficients: [f32; N]) -> F {
     sum
 }
 
+/// The same functions in float64. What the references of the models use.
+pub mod reference {
+    use super::{EXP_MAX, EXP_MIN};
+
+    /// eˣ, with x limited as by [`exp`](super::exp).
+    #[must_use]
+    pub fn exp(x: f64) -> f64 {
+        x.clamp(EXP_MIN.into(), EXP_MAX.into()).exp()
+    }
+
+    /// 1/(1 + e⁻ˣ).
+    #[must_use]
+    pub fn sigmoid(x: f64) -> f64 {
+        1.0 / (1.0 + exp(-x))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

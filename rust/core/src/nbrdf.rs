@@ -12,6 +12,7 @@ use glam::Vec3;
 use crate::kernel::{Kernel, splat3};
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
+use crate::microfacet::Half;
 use crate::model::Model;
 use crate::network::{Network, One, Rows};
 use crate::sampler::Sampler;
@@ -117,16 +118,22 @@ impl Kernel for Nbrdf {
 /// f from the network's output.
 #[inline(always)]
 fn radiance<F: Real>(y: F) -> F {
-    (exp(y.at_most(MAX_OUTPUT)) - 1.0).max(y.splat(0.0))
+    // Near 0 the difference exp y − 1 would keep few digits of y. Up to here its series has as many
+    // as the difference has from here.
+    const SERIES_END: f32 = 0.06;
+    let y = y.max(y.splat(0.0));
+    let series = (((y * (1.0 / 24.0) + 1.0 / 6.0) * y + 0.5) * y + 1.0) * y;
+    let difference = exp(y.at_most(MAX_OUTPUT)) - 1.0;
+    difference.or_else(y.splat(SERIES_END).less(y), series)
 }
 
 /// (h, d): the half vector turned about n to azimuth 0, and the light in the frame whose pole is h.
 #[inline(always)]
 fn half_difference<F: Real>(light: [F; 3], view: [F; 3]) -> [F; FEATURES] {
-    let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+    let half = Half::new(light, view);
+    let h = half.vector;
     let [zero, one] = [h[0].splat(0.0), h[0].splat(1.0)];
-    let across = (h[0] * h[0] + h[1] * h[1]).sqrt();
-    let length = (across * across + h[2] * h[2]).sqrt().max(h[0].splat(f32::MIN_POSITIVE));
+    let (across, length) = (half.across.sqrt(), half.length);
     // Where h = n its azimuth is 0 by convention.
     let inclined = zero.less(across);
     let [cos_phi, sin_phi] =
@@ -145,7 +152,7 @@ fn half_difference<F: Real>(light: [F; 3], view: [F; 3]) -> [F; FEATURES] {
 
 /// The same model in float64 by its definition. What tests compare against.
 pub mod reference {
-    use super::Nbrdf;
+    use super::{MAX_OUTPUT, Nbrdf};
     use crate::network;
     use glam::{DMat3, DVec3};
 
@@ -153,11 +160,12 @@ pub mod reference {
     #[must_use]
     pub fn eval(material: &Nbrdf, light: DVec3, view: DVec3) -> [f64; 3] {
         let half = (light + view).normalize();
-        let (theta, phi) = (half.z.acos(), half.y.atan2(half.x));
+        // Of the arc functions the tangent's alone keeps the digits of small angles.
+        let (theta, phi) = (half.x.hypot(half.y).atan2(half.z), half.y.atan2(half.x));
         let h = DMat3::from_rotation_z(-phi) * half;
         let d = DMat3::from_rotation_y(-theta) * (DMat3::from_rotation_z(-phi) * light);
         let y = network::reference::forward(&material.network, &[h.x, h.y, h.z, d.x, d.y, d.z], &[]);
-        std::array::from_fn(|c| (y[c].exp() - 1.0).max(0.0))
+        std::array::from_fn(|c| y[c].min(MAX_OUTPUT.into()).exp_m1().max(0.0))
     }
 }
 

@@ -221,6 +221,7 @@ fn bounded_exp<F: Real>(y: F, bound: f32) -> F {
 /// The same model in float64, with the frames applied to the directions. What tests compare against.
 pub mod reference {
     use super::{Neural, frame};
+    use crate::math::reference::exp;
     use crate::network;
     use glam::DVec3;
 
@@ -246,7 +247,7 @@ pub mod reference {
             })
             .collect();
         let y = network::reference::forward(&material.shared.network, &features, &latent);
-        std::array::from_fn(|c| y[c].min(material.bound.into()).exp())
+        std::array::from_fn(|c| exp(y[c].min(material.bound.into())))
     }
 }
 

@@ -1,0 +1,494 @@
+//! The catalogue of extreme inputs: pairs of directions and materials at the edges of what they can
+//! be, by name. Every model and every face is run on all of it.
+
+use std::sync::Arc;
+
+use glam::{DVec3, Vec3};
+use glimt_core::features::Inputs;
+use glimt_core::ggx::Ggx;
+use glimt_core::hybrid::{self, Composition, Form, Hybrid, MAX_BOUND};
+use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
+use glimt_core::nbrdf::{self, Nbrdf};
+use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::neural::{self, Neural, Shared};
+use glimt_core::{Material, Model};
+
+use crate::stability::{nudged_layer, nudged_network};
+
+/// A light and a view.
+pub type Pair = (Vec3, Vec3);
+
+/// Pairs that are extreme in the same way.
+pub struct Family {
+    /// What is extreme about them.
+    pub name: &'static str,
+    /// The pairs.
+    pub pairs: Vec<Pair>,
+}
+
+/// A material that is extreme in some way.
+pub struct Case {
+    /// What is extreme about it.
+    pub name: String,
+    /// The material.
+    pub material: Material,
+}
+
+/// A kind of model.
+pub struct Kind {
+    /// As files and commands spell it.
+    pub name: &'static str,
+    /// Its materials of the catalogue.
+    pub cases: fn() -> Vec<Case>,
+}
+
+/// Every kind of model. A new one is covered by a line here and its reference in [`reference`].
+pub const KINDS: [Kind; 4] = [
+    Kind { name: Ggx::KIND, cases: ggx_cases },
+    Kind { name: Hybrid::KIND, cases: hybrid_cases },
+    Kind { name: Neural::KIND, cases: neural_cases },
+    Kind { name: Nbrdf::KIND, cases: nbrdf_cases },
+];
+
+/// f of a pair above the horizon by the model's float64 reference.
+#[must_use]
+pub fn reference(material: &Material, light: DVec3, view: DVec3) -> [f64; 3] {
+    match material {
+        Material::Ggx(m) => microfacet::reference::eval(m.microfacet(), light.into(), view.into()),
+        Material::Hybrid(m) => hybrid::reference::eval(m, light, view),
+        Material::Neural(m) => neural::reference::eval(m, light, view),
+        Material::Nbrdf(m) => nbrdf::reference::eval(m, light, view),
+    }
+}
+
+/// The material with each of its numbers put through `nudge`, which moves them by an ULP; `None` for
+/// a model whose numbers do not enter sums.
+#[must_use]
+pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<Material> {
+    let nudged_microfacet = |m: &Microfacet, nudge: &mut dyn FnMut(f32) -> f32| Microfacet {
+        kd: m.kd.map(&mut *nudge).map(|kd| kd.clamp(0.0, 1.0)),
+        eta: m.eta.map(&mut *nudge).map(|eta| eta.clamp(ETA_RANGE[0], ETA_RANGE[1])),
+        alpha: m.alpha.map(&mut *nudge).map(|alpha| alpha.clamp(MIN_ALPHA, 1.0)),
+    };
+    let nudged: Result<Material, String> = match material {
+        Material::Ggx(m) => Ggx::new(nudged_microfacet(m.microfacet(), nudge)).map(Material::from),
+        Material::Hybrid(m) => {
+            let network = Arc::new(nudged_network(m.network(), nudge));
+            let microfacet = nudged_microfacet(m.microfacet(), nudge);
+            let latent = m.latent().iter().map(|&z| nudge(z)).collect();
+            Hybrid::new(m.form(), network, microfacet, latent, m.bound()).map(Material::from)
+        }
+        Material::Neural(m) => {
+            let network = nudged_network(&m.shared().network, nudge);
+            let shared = Shared { network, frames: nudged_layer(&m.shared().frames, nudge) };
+            let latent = m.latent().iter().map(|&z| nudge(z)).collect();
+            Neural::new(Arc::new(shared), latent, m.bound()).map(Material::from)
+        }
+        Material::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
+    };
+    Some(nudged.expect("numbers stay in their ranges"))
+}
+
+/// Cosines from the normal to the horizon: the last are the smallest normal number and denormals.
+const COSINES: [f32; 17] = [
+    1.0,
+    0.999_999_9,
+    0.999,
+    0.5,
+    0.1,
+    1e-2,
+    1e-3,
+    1e-4,
+    1e-5,
+    1e-7,
+    1e-10,
+    1e-15,
+    1e-20,
+    1e-30,
+    f32::MIN_POSITIVE,
+    1e-42,
+    1e-45,
+];
+
+/// Azimuths on the axes, between them, and where neither component is exact.
+const AZIMUTHS: [f64; 5] = [0.0, 0.25, 0.7, std::f64::consts::FRAC_PI_2, 4.0];
+
+/// Angles between the half vector and the normal, around the narrowest lobe.
+const TILTS: [f64; 9] = [1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 1e-2, 0.1];
+
+/// The direction of a cosine and an azimuth, rounded to float32.
+fn direction(cos: f32, azimuth: f64) -> Vec3 {
+    let z = f64::from(cos);
+    let r = ((1.0 - z) * (1.0 + z)).sqrt();
+    let v = DVec3::new(r * azimuth.cos(), r * azimuth.sin(), z).as_vec3();
+    // The cosine as it is: rounding the vector must not move it.
+    Vec3::new(v.x, v.y, cos)
+}
+
+/// `v` mirrored at the normal, exactly.
+fn mirrored(v: Vec3) -> Vec3 {
+    Vec3::new(-v.x, -v.y, v.z)
+}
+
+/// Directions of the whole hemisphere, evenly.
+fn hemisphere(count: usize) -> Vec<Vec3> {
+    // The R2 sequence (Roberts 2018).
+    let point = |i: usize| {
+        let i = i as f64 + 0.5;
+        ((i * 0.754_877_666) % 1.0, (i * 0.569_840_291) % 1.0)
+    };
+    (0..count).map(point).map(|(z, phi)| direction(z as f32, phi * std::f64::consts::TAU)).collect()
+}
+
+/// The families of pairs.
+#[must_use]
+pub fn families() -> Vec<Family> {
+    let family = |name, pairs| Family { name, pairs };
+    vec![
+        family("ordinary", ordinary()),
+        family("grazing", grazing()),
+        family("mirror pairs", mirror_pairs()),
+        family("near mirror pairs", near_mirror_pairs()),
+        family("light = view", retro_pairs()),
+        family("light = -view", opposite_pairs()),
+        family("no half vector", without_half_vector()),
+        family("poles", poles()),
+        family("lengths off by 1e-3", off_lengths()),
+        family("denormals", denormals()),
+        family("signed zeros", signed_zeros()),
+        family("infinities", specials(&[f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN])),
+        family("NaN", specials(&[f32::NAN, -f32::NAN])),
+        family("no directions", no_directions()),
+    ]
+}
+
+fn ordinary() -> Vec<Pair> {
+    let directions = hemisphere(24);
+    directions.iter().enumerate().map(|(i, &l)| (l, directions[(7 * i + 3) % 24])).collect()
+}
+
+fn grazing() -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    for light in COSINES.map(|cos| direction(cos, 0.4)) {
+        for view in
+            COSINES.into_iter().zip(AZIMUTHS.into_iter().cycle()).map(|(cos, phi)| direction(cos, phi))
+        {
+            pairs.push((light, view));
+        }
+        pairs.push((light, Vec3::new(0.6, 0.8, 0.0)));
+        pairs.push((Vec3::new(0.6, 0.8, 0.0), light));
+    }
+    pairs
+}
+
+fn mirror_pairs() -> Vec<Pair> {
+    let views = COSINES.into_iter().flat_map(|cos| AZIMUTHS.map(|phi| direction(cos, phi)));
+    views.map(|view| (mirrored(view), view)).collect()
+}
+
+fn near_mirror_pairs() -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    for cos in [0.999_f32, 0.7, 0.1, 1e-2, 1e-4] {
+        for tilt in TILTS {
+            for phi in [0.0, 1.2] {
+                let view = direction(cos, 0.3).as_dvec3();
+                let half = DVec3::new(tilt.sin() * f64::cos(phi), tilt.sin() * f64::sin(phi), tilt.cos());
+                let light = 2.0 * view.dot(half) * half - view;
+                pairs.push((light.as_vec3(), view.as_vec3()));
+            }
+        }
+    }
+    pairs
+}
+
+fn retro_pairs() -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    for view in COSINES.into_iter().flat_map(|cos| AZIMUTHS.map(|phi| direction(cos, phi))) {
+        pairs.push((view, view));
+        // The neighbour in float32.
+        pairs.push((Vec3::new(view.x.next_up(), view.y, view.z), view));
+        pairs.push((Vec3::new(view.x, view.y, view.z.next_down()), view));
+    }
+    pairs
+}
+
+fn opposite_pairs() -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    for view in COSINES.into_iter().flat_map(|cos| AZIMUTHS.map(|phi| direction(cos, phi))) {
+        pairs.push((-view, view));
+        pairs.push((view, -view));
+        // As nearly opposite as two directions above the horizon can be.
+        for z in [1e-3, 1e-20, f32::MIN_POSITIVE, 1e-45] {
+            pairs.push((Vec3::new(-view.x, -view.y, z), view));
+        }
+    }
+    pairs
+}
+
+fn without_half_vector() -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    for phi in AZIMUTHS {
+        let horizon = Vec3::new(phi.cos() as f32, phi.sin() as f32, 0.0);
+        // The sum is zero, or its square is.
+        for z in [0.0, -0.0, 1e-45, f32::MIN_POSITIVE, 1e-30, 1e-23, 1e-19] {
+            for w in [0.0, z, 2.0 * z, 1e-20] {
+                pairs.push((horizon.with_z(z), (-horizon).with_z(w)));
+            }
+        }
+    }
+    pairs
+}
+
+fn poles() -> Vec<Pair> {
+    let near = [1e-45, 1e-38, 1e-23, 1e-10, 1e-7, 1e-4].map(|x| Vec3::new(x, 0.0, 1.0));
+    let mut views = vec![Vec3::Z, -Vec3::Z, Vec3::X, Vec3::Y, -Vec3::X, -Vec3::Y];
+    views.extend(near);
+    views.extend(near.map(|v| Vec3::new(0.0, -v.x, 1.0)));
+    views.extend([Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.0, 0.8, 0.6)]);
+    views.iter().flat_map(|&l| views.iter().map(move |&v| (l, v))).collect()
+}
+
+fn off_lengths() -> Vec<Pair> {
+    let mut pairs = Vec::new();
+    for (l, v) in ordinary().into_iter().chain(mirror_pairs().into_iter().step_by(3)) {
+        for (a, b) in [(1.001, 1.0), (1.0, 0.999), (1.001, 0.999), (0.999, 0.999)] {
+            pairs.push((l * a, v * b));
+        }
+    }
+    pairs
+}
+
+fn denormals() -> Vec<Pair> {
+    let tiny = [1e-45, -1e-45, 1e-40, f32::MIN_POSITIVE, -1e-39];
+    let mut views = Vec::new();
+    for t in tiny {
+        views.extend([
+            Vec3::new(t, 0.6, 0.8),
+            Vec3::new(t, t, 1.0),
+            Vec3::new(1.0, t, t.abs()),
+            Vec3::new(t, -1.0, t.abs()),
+        ]);
+    }
+    views.iter().flat_map(|&l| views.iter().map(move |&v| (l, v))).collect()
+}
+
+fn signed_zeros() -> Vec<Pair> {
+    let zeros = [0.0, -0.0];
+    let mut views = Vec::new();
+    for a in zeros {
+        for b in zeros {
+            views.extend([
+                Vec3::new(a, b, 1.0),
+                Vec3::new(1.0, a, b),
+                Vec3::new(0.6, a, 0.8),
+                Vec3::new(b, -0.6, 0.8),
+            ]);
+        }
+    }
+    views.iter().flat_map(|&l| views.iter().map(move |&v| (l, v))).collect()
+}
+
+/// Each value in each component of either direction.
+fn specials(values: &[f32]) -> Vec<Pair> {
+    let good = Vec3::new(0.48, 0.36, 0.8);
+    let mut pairs = Vec::new();
+    for &value in values {
+        let mut broken = vec![Vec3::splat(value)];
+        for component in 0..3 {
+            let mut v = good;
+            v[component] = value;
+            broken.push(v);
+        }
+        for v in broken {
+            pairs.extend([(v, good), (good, v), (v, v), (v, Vec3::Z)]);
+        }
+    }
+    pairs
+}
+
+fn no_directions() -> Vec<Pair> {
+    let good = Vec3::new(0.48, 0.36, 0.8);
+    [0.0, 1e-45, 1e-20, 0.4, 2.1, 1e10, 3e38]
+        .into_iter()
+        .flat_map(|s| [(good * s, good), (good, good * s)])
+        .collect()
+}
+
+fn ggx_cases() -> Vec<Case> {
+    let mut cases = Vec::new();
+    let mut add = |name: String, microfacet| {
+        let material = Ggx::new(microfacet).expect("parameters are in their ranges").into();
+        cases.push(Case { name, material });
+    };
+    for alpha in [MIN_ALPHA, 1e-3, 1e-2, 0.1, 1.0] {
+        for eta in [1.0, 1.0 + f32::EPSILON, 1.5, ETA_RANGE[1]] {
+            let name = format!("alpha {alpha:e}, eta {eta}");
+            add(name, Microfacet { kd: [0.0, 0.5, 1.0], eta: [eta; 3], alpha: [alpha; 2] });
+        }
+    }
+    for alpha in [[MIN_ALPHA, 1.0], [1.0, MIN_ALPHA], [1e-3, 0.1]] {
+        let name = format!("alpha {:e} by {:e}", alpha[0], alpha[1]);
+        add(name, Microfacet { kd: [0.0; 3], eta: [1.0 + 1e-3, 2.0, 5.0], alpha });
+    }
+    cases
+}
+
+/// What may be extreme about a network.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Weights {
+    /// Nothing.
+    Ordinary,
+    /// The latent code is a thousand times what fits find.
+    LargeLatent,
+    /// Every weight is the largest number of float16, of either sign.
+    LargestHalf,
+    /// Every weight is the smallest number of float16, of either sign.
+    SmallestHalf,
+    /// The exponent is far above its bound everywhere.
+    AboveBound,
+    /// The exponent is far below what exp can return everywhere.
+    BelowFloor,
+}
+
+const WEIGHTS: [Weights; 6] = [
+    Weights::Ordinary,
+    Weights::LargeLatent,
+    Weights::LargestHalf,
+    Weights::SmallestHalf,
+    Weights::AboveBound,
+    Weights::BelowFloor,
+];
+
+impl Weights {
+    /// A network of these sizes.
+    fn network(self, sizes: &[usize], features: usize, activation: Activation) -> Network {
+        let mut layers: Vec<Layer> = sizes
+            .windows(2)
+            .map(|w| {
+                let scale = 2.0 / (w[0] as f32).sqrt();
+                Layer { weight: self.numbers(w[0] * w[1], scale), bias: self.numbers(w[1], 1.0) }
+            })
+            .collect();
+        let shift = match self {
+            Weights::AboveBound => 1e4,
+            Weights::BelowFloor => -1e4,
+            _ => 0.0,
+        };
+        let last = layers.last_mut().expect("networks have layers");
+        last.bias.iter_mut().for_each(|bias| *bias += shift);
+        Network::new(layers, features, activation).expect("the sizes fit together")
+    }
+
+    /// Numbers of both signs that follow a fixed pattern.
+    fn numbers(self, count: usize, scale: f32) -> Vec<f32> {
+        const LARGEST_HALF: f32 = 65_504.0;
+        const SMALLEST_HALF: f32 = 5.960_464_5e-8;
+        // A linear congruential generator (Numerical Recipes, §7.1); its upper bits.
+        let mut state = count as u32;
+        (0..count)
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let x = (state >> 8) as f32 / (1 << 24) as f32 - 0.5;
+                match self {
+                    Weights::LargestHalf => LARGEST_HALF.copysign(x),
+                    Weights::SmallestHalf => SMALLEST_HALF.copysign(x),
+                    _ => x * scale,
+                }
+            })
+            .collect()
+    }
+
+    fn latent(self, size: usize) -> Vec<f32> {
+        let scale = if self == Weights::LargeLatent { 1e3 } else { 1.0 };
+        (0..size).map(|i| scale * (1.3 * i as f32).sin()).collect()
+    }
+
+    fn bound(self) -> f32 {
+        if self == Weights::Ordinary { 2.0 } else { MAX_BOUND }
+    }
+}
+
+fn hybrid_cases() -> Vec<Case> {
+    const ALL_INPUTS: [Inputs; 5] = [
+        Inputs::Cartesian,
+        Inputs::Isotropic,
+        Inputs::IsotropicReciprocal,
+        Inputs::Anisotropic,
+        Inputs::AnisotropicReciprocal,
+    ];
+    let isotropic = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
+    let mut cases = Vec::new();
+    let mut add = |name: String, form: Form, weights: Weights, alpha: f32, eta: f32| {
+        let features = form.features();
+        let network = weights.network(
+            &[features + 4, 16, 16, form.composition.outputs()],
+            features,
+            Activation::HardGelu,
+        );
+        let wide = if form.inputs.is_isotropic() { alpha } else { (2.0 * alpha).min(1.0) };
+        let microfacet = Microfacet { kd: [0.0, 0.3, 1.0], eta: [eta; 3], alpha: [alpha, wide] };
+        let material = Hybrid::new(form, Arc::new(network), microfacet, weights.latent(4), weights.bound());
+        cases.push(Case { name, material: material.expect("the parts fit together").into() });
+    };
+    for inputs in ALL_INPUTS {
+        add(format!("{inputs:?}"), Form { inputs, ..Form::PAPER }, Weights::Ordinary, 0.2, 1.5);
+        add(
+            format!("{inputs:?}, alpha 1e-4"),
+            Form { inputs, ..Form::PAPER },
+            Weights::Ordinary,
+            MIN_ALPHA,
+            10.0,
+        );
+    }
+    for composition in [Composition::Additive, Composition::LogMultiplicative] {
+        add(format!("{composition:?}"), Form { composition, ..isotropic }, Weights::Ordinary, 0.1, 1.5);
+    }
+    for weights in WEIGHTS {
+        add(
+            format!("{weights:?}, analytic input"),
+            Form { analytic_input: true, ..isotropic },
+            weights,
+            1e-3,
+            2.0,
+        );
+    }
+    for weights in &WEIGHTS[1..] {
+        for composition in [Composition::GatedResidual, Composition::Additive, Composition::LogMultiplicative]
+        {
+            add(
+                format!("{weights:?}, {composition:?}"),
+                Form { composition, ..isotropic },
+                *weights,
+                0.05,
+                1.5,
+            );
+        }
+    }
+    cases
+}
+
+fn neural_cases() -> Vec<Case> {
+    let case = |weights: Weights| {
+        let sizes = [neural::FEATURES + 12, 16, 16, 3];
+        let network = weights.network(&sizes, neural::FEATURES, Activation::HardGelu);
+        let frames = Layer {
+            weight: weights.numbers(neural::FRAME_OUTPUTS * 12, 0.3),
+            bias: weights.numbers(neural::FRAME_OUTPUTS, 0.3),
+        };
+        let shared = Arc::new(Shared { network, frames });
+        let material = Neural::new(shared, weights.latent(12), weights.bound());
+        Case { name: format!("{weights:?}"), material: material.expect("the parts fit together").into() }
+    };
+    WEIGHTS.map(case).into()
+}
+
+fn nbrdf_cases() -> Vec<Case> {
+    let case = |weights: Weights| {
+        let sizes = [nbrdf::FEATURES, nbrdf::WIDTH, nbrdf::WIDTH, 3];
+        let network = weights.network(&sizes, nbrdf::FEATURES, Activation::Relu);
+        let material = Nbrdf::new(Arc::new(network)).expect("the parts fit together");
+        Case { name: format!("{weights:?}"), material: material.into() }
+    };
+    // These have no latent code.
+    WEIGHTS.into_iter().filter(|&weights| weights != Weights::LargeLatent).map(case).collect()
+}

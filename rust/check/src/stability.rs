@@ -1,0 +1,249 @@
+//! Every material of the catalogue on every pair of the catalogue, or on any others: what must hold
+//! for all of them, and how far the results are from float64.
+
+use glam::Vec3;
+use glimt_core::network::{Layer, Network};
+use glimt_core::simd::{LANES, Lane3};
+use glimt_core::{Brdf, Material, Sample, SampleBrdf, is_lit};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use crate::accuracy::{Worst, condition};
+use crate::extremes::{self, Case, Family, Pair};
+
+/// What a material answered that it must not, or `None`.
+///
+/// f is finite and ≥ 0; f and pdf are 0 for what is no pair of directions above the horizon; the pdf
+/// is finite and ≥ 0, and > 0 where f is; a sample is valid or failed.
+#[must_use]
+pub fn violation(material: &Material, (light, view): Pair, f: Vec3, u: Vec3) -> Option<String> {
+    let pdf = material.pdf(light, view);
+    let wrong = if !f.is_finite() || f.min_element() < 0.0 {
+        format!("f is {f}")
+    } else if !pdf.is_finite() || pdf < 0.0 {
+        format!("the pdf is {pdf}")
+    } else if !is_lit(light, view) && (f != Vec3::ZERO || pdf != 0.0) {
+        format!("f is {f} and the pdf {pdf} where nothing is lit")
+    } else if f != Vec3::ZERO && pdf == 0.0 {
+        format!("f is {f} and the pdf 0")
+    } else {
+        wrong_sample(view, material.sample(view, u))?
+    };
+    Some(format!("{wrong} at light {light:?}, view {view:?}, u {u:?}"))
+}
+
+/// What is wrong with a sample, or `None`.
+fn wrong_sample(view: Vec3, sample: Sample) -> Option<String> {
+    /// A direction sampled for a view of unit length is a unit vector to within this.
+    const LENGTH_TOLERANCE: f32 = 2e-6;
+    let Sample { light, pdf, weight } = sample;
+    if pdf == 0.0 {
+        return (sample != Sample::FAILED).then(|| format!("a failed sample is {sample:?}"));
+    }
+    let off_length = (light.length() - 1.0).abs() - (view.length() - 1.0).abs();
+    let is_valid = is_lit(light, view)
+        && pdf.is_finite()
+        && pdf > 0.0
+        && weight.is_finite()
+        && weight.min_element() >= 0.0
+        && off_length <= LENGTH_TOLERANCE;
+    (!is_valid).then(|| format!("the sample is {sample:?}"))
+}
+
+/// Where the ways to evaluate differ, or `None`: one by one, in tiles, and in batches of any length
+/// that begin anywhere.
+#[must_use]
+pub fn disagreement(material: &Material, pairs: &[Pair]) -> Option<String> {
+    let (light, view): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().copied().unzip();
+    let singles: Vec<Vec3> = pairs.iter().map(|&(l, v)| material.eval(l, v)).collect();
+    let bits = |f: &[Vec3]| f.iter().map(|f| f.to_array().map(f32::to_bits)).collect::<Vec<_>>();
+    for range in
+        [0..pairs.len(), 0..0, 0..1, 1..2, 0..LANES.min(pairs.len()), 3..pairs.len(), 1..pairs.len() - 1]
+    {
+        let mut batch = vec![Vec3::splat(f32::NAN); range.len()];
+        material.eval_batch(&light[range.clone()], &view[range.clone()], &mut batch);
+        if bits(&batch) != bits(&singles[range.clone()]) {
+            return Some(format!("the batch {range:?} differs from single evaluations"));
+        }
+    }
+    for (chunk, expected) in pairs.chunks_exact(LANES).zip(singles.chunks_exact(LANES)) {
+        let component = |of: fn(&Pair) -> Vec3| -> Lane3 {
+            std::array::from_fn(|c| std::array::from_fn(|lane| of(&chunk[lane])[c]))
+        };
+        let mut tile = [[f32::NAN; LANES]; 3];
+        material.eval_tile(&component(|pair| pair.0), &component(|pair| pair.1), &mut tile);
+        let tile: Vec<Vec3> = (0..LANES).map(|lane| Vec3::from_array(tile.map(|c| c[lane]))).collect();
+        if bits(&tile) != bits(expected) {
+            return Some(format!("a tile differs from single evaluations: {tile:?}, {expected:?}"));
+        }
+    }
+    None
+}
+
+/// The catalogue's answers for one material.
+pub struct Outcome {
+    /// What must not be.
+    pub violations: Vec<String>,
+    /// Errors of f by family, in the order of [`extremes::families`].
+    pub errors: Vec<Worst>,
+}
+
+/// Runs a material on all families.
+#[must_use]
+pub fn run(case: &Case, families: &[Family]) -> Outcome {
+    let material = &case.material;
+    let neighbours = neighbours(material);
+    let mut rng = Pcg64Mcg::seed_from_u64(2);
+    let mut outcome = Outcome { violations: Vec::new(), errors: Vec::new() };
+    for family in families {
+        let mut worst = Worst::default();
+        for &(light, view) in &family.pairs {
+            let f = material.eval(light, view);
+            let u = Vec3::new(rng.random(), rng.random(), rng.random());
+            for u in [
+                u,
+                Vec3::ZERO,
+                Vec3::splat(1.0 - f32::EPSILON / 2.0),
+                Vec3::new(0.0, u.y, 1.0 - f32::EPSILON / 2.0),
+            ] {
+                outcome.violations.extend(violation(material, (light, view), f, u));
+            }
+            if is_lit(light, view) {
+                compare(material, &neighbours, (light, view), f, &mut worst);
+            }
+        }
+        outcome.violations.extend(disagreement(material, &family.pairs));
+        outcome.errors.push(worst);
+    }
+    let name = |wrong| format!("{} ({}): {wrong}", material.kind(), case.name);
+    outcome.violations = outcome.violations.into_iter().map(name).collect();
+    outcome
+}
+
+/// Adds the errors of f at a lit pair.
+fn compare(material: &Material, neighbours: &[Material], (light, view): Pair, f: Vec3, worst: &mut Worst) {
+    let (l, v) = (light.as_dvec3(), view.as_dvec3());
+    let exact = extremes::reference(material, l, v);
+    for channel in 0..3 {
+        let moved = || {
+            let inputs = [light.x, light.y, light.z, view.x, view.y, view.z];
+            let by_directions = condition(inputs, |[a, b, c, x, y, z]| {
+                extremes::reference(material, [a, b, c].into(), [x, y, z].into())[channel]
+            });
+            let by_parameters = neighbours
+                .iter()
+                .map(|other| (extremes::reference(other, l, v)[channel] - exact[channel]).abs())
+                .fold(0.0, f64::max);
+            by_directions + by_parameters
+        };
+        let inputs =
+            || format!("light {:?}, view {:?}, channel {channel}", light.to_array(), view.to_array());
+        worst.add(f[channel], exact[channel], exact[channel], moved, inputs);
+    }
+}
+
+/// The material with all its numbers moved by half an ULP up or down, several times at random.
+///
+/// Together they show what its parameters contribute to the condition: the sums of a network are
+/// rounded as if its weights had moved so.
+fn neighbours(material: &Material) -> Vec<Material> {
+    const COUNT: u64 = 8;
+    (0..COUNT)
+        .filter_map(|seed| {
+            let mut rng = Pcg64Mcg::seed_from_u64(seed);
+            extremes::nudged(material, &mut |x| {
+                // Half an ULP is no float32; a whole one, half of the time, is as much.
+                match rng.random_range(0..4) {
+                    0 => x.next_up(),
+                    1 => x.next_down(),
+                    _ => x,
+                }
+            })
+        })
+        .collect()
+}
+
+/// A network with every weight and bias put through `nudge`.
+pub fn nudged_network(network: &Network, nudge: &mut dyn FnMut(f32) -> f32) -> Network {
+    let layers = network.layers().iter().map(|layer| nudged_layer(layer, nudge)).collect();
+    Network::new(layers, network.features(), network.activation()).expect("the shape is that of a network")
+}
+
+/// [`nudged_network`] for one layer.
+pub fn nudged_layer(layer: &Layer, nudge: &mut dyn FnMut(f32) -> f32) -> Layer {
+    let mut nudge = |values: &[f32]| values.iter().map(|&x| nudge(x)).collect();
+    Layer { weight: nudge(&layer.weight), bias: nudge(&layer.bias) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::extremes::{KINDS, families};
+    use crate::random_pairs;
+    use rayon::prelude::*;
+
+    fn all_cases() -> Vec<Case> {
+        KINDS.iter().flat_map(|kind| (kind.cases)()).collect()
+    }
+
+    /// Largest blame of a whole model: its parts' errors add up.
+    const BUDGET: f64 = 6.0;
+
+    #[test]
+    fn every_material_keeps_its_promises_on_the_catalogue() {
+        let families = families();
+        all_cases().par_iter().for_each(|case| {
+            let outcome = run(case, &families);
+            assert!(
+                outcome.violations.is_empty(),
+                "{} violations, the first: {}",
+                outcome.violations.len(),
+                outcome.violations[0]
+            );
+            for (family, worst) in families.iter().zip(outcome.errors) {
+                assert!(
+                    worst.blamed.blame() <= BUDGET,
+                    "{} ({}), {}: {:.1} times the condition: {}",
+                    case.material.kind(),
+                    case.name,
+                    family.name,
+                    worst.blamed.blame(),
+                    worst.blamed
+                );
+            }
+        });
+    }
+
+    #[test]
+    fn the_catalogue_lists_kinds_by_their_name() {
+        for kind in KINDS {
+            for case in (kind.cases)() {
+                assert_eq!(case.material.kind(), kind.name);
+            }
+        }
+    }
+
+    /// Random pairs over all materials, in parallel: how many violations, and the first.
+    fn violations_of(count: usize) -> (usize, Option<String>) {
+        let cases = all_cases();
+        let blocks = count.div_ceil(random_pairs::BLOCK);
+        (0..blocks)
+            .into_par_iter()
+            .map(|block| {
+                let found = random_pairs::violations(&cases[block % cases.len()], block as u64);
+                (found.len(), found.into_iter().next())
+            })
+            .reduce(|| (0, None), |a, b| (a.0 + b.0, a.1.or(b.1)))
+    }
+
+    #[test]
+    fn ten_million_random_pairs_violate_nothing() {
+        assert_eq!(violations_of(10_000_000), (0, None));
+    }
+
+    #[test]
+    #[ignore = "long: 10⁹ pairs, half an hour on two cores"]
+    fn a_billion_random_pairs_violate_nothing() {
+        assert_eq!(violations_of(1_000_000_000), (0, None));
+    }
+}
