@@ -4,6 +4,7 @@
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use glimt_core::factor::{self, Factor, Factors, Interpolation, Product, Variant};
 use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::{self, Composition, Form, Hybrid, MAX_BOUND};
@@ -40,25 +41,38 @@ pub struct Kind {
     pub name: &'static str,
     /// Its materials of the catalogue.
     pub cases: fn() -> Vec<Case>,
+    /// Largest [`blame`](crate::accuracy::Comparison::blame) that it is allowed.
+    pub budget: f64,
 }
 
 /// Every kind of model. A new one is covered by a line here and its reference in [`reference`].
-pub const KINDS: [Kind; 4] = [
-    Kind { name: Ggx::KIND, cases: ggx_cases },
-    Kind { name: Hybrid::KIND, cases: hybrid_cases },
-    Kind { name: Neural::KIND, cases: neural_cases },
-    Kind { name: Nbrdf::KIND, cases: nbrdf_cases },
+pub const KINDS: [Kind; 5] = [
+    Kind { name: Ggx::KIND, cases: ggx_cases, budget: 4.0 },
+    Kind { name: Hybrid::KIND, cases: hybrid_cases, budget: 4.0 },
+    Kind { name: Neural::KIND, cases: neural_cases, budget: 4.0 },
+    Kind { name: Nbrdf::KIND, cases: nbrdf_cases, budget: 4.0 },
+    // A place among 90 bins takes 6 of a float's 24 bits.
+    Kind { name: Factor::KIND, cases: factor_cases, budget: 32.0 },
 ];
 
-/// f of a pair above the horizon by the model's float64 reference.
+/// f of a pair above the horizon by the model's float64 reference; `None` for tables that are constant
+/// in each bin, whose error at an edge is that of the bin.
 #[must_use]
-pub fn reference(material: &Material, light: DVec3, view: DVec3) -> [f64; 3] {
-    match material {
+pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64; 3]> {
+    let f = match material {
         Material::Ggx(m) => microfacet::reference::eval(m.microfacet(), light.into(), view.into()),
         Material::Hybrid(m) => hybrid::reference::eval(m, light, view),
         Material::Neural(m) => neural::reference::eval(m, light, view),
         Material::Nbrdf(m) => nbrdf::reference::eval(m, light, view),
-    }
+        Material::Factor(m) => {
+            let form = m.form();
+            if form.variant == Variant::Naive || form.interpolation == Interpolation::Nearest {
+                return None;
+            }
+            factor::reference::eval(m, light, view)
+        }
+    };
+    Some(f)
 }
 
 /// The material with each of its numbers put through `nudge`, which moves them by an ULP; `None` for
@@ -85,6 +99,7 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
             Neural::new(Arc::new(shared), latent, m.bound()).map(Material::from)
         }
         Material::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
+        Material::Factor(_) => return None,
     };
     Some(nudged.expect("numbers stay in their ranges"))
 }
@@ -491,4 +506,36 @@ fn nbrdf_cases() -> Vec<Case> {
     };
     // These have no latent code.
     WEIGHTS.into_iter().filter(|&weights| weights != Weights::LargeLatent).map(case).collect()
+}
+
+fn factor_cases() -> Vec<Case> {
+    /// The largest that the model takes.
+    const MAX_SCALE: f32 = 1e12;
+    fn curve<const N: usize>(at: fn(f32) -> f32) -> factor::Curve<N> {
+        [std::array::from_fn(|i| at(i as f32 / N as f32)); 3]
+    }
+    let mut cases = Vec::new();
+    let mut add = |name: &str, factors: Factors| {
+        for interpolation in [Interpolation::Linear, Interpolation::Nearest] {
+            let name = format!("{:?}, {interpolation:?}, {name}", factors.variant());
+            let material = Factor::new(factors.clone(), interpolation).expect("numbers are in their ranges");
+            cases.push(Case { name, material: material.into() });
+        }
+    };
+    let lobe = |x: f32| (-20.0 * x * x).exp();
+    let specular = [MAX_SCALE, 0.0, 1.0];
+    let product =
+        Product { diffuse: [0.0, 0.1, MAX_SCALE], specular, ndf: curve(lobe), fresnel: curve(|x| x * x) };
+    let black = Product { diffuse: [0.0; 3], specular, ndf: curve(|_| 0.0), fresnel: curve(|_| 0.0) };
+    for (name, product) in [("largest", product), ("all zeros", black)] {
+        add(name, Factors::GFromD(product.clone()));
+        add(name, Factors::Naive { product: product.clone(), azimuth: curve(|x| 1.0 - x) });
+        add(name, Factors::IndependentG { product, masking: curve(|x| 1.0 - x) });
+    }
+    let bins = factor::HALF_BINS * factor::DIFF_BINS;
+    add(
+        "steep",
+        Factors::Bivariate((0..bins).map(|i| [MAX_SCALE * lobe(i as f32 / 500.0), 0.0, 1e-30]).collect()),
+    );
+    cases
 }

@@ -19,6 +19,7 @@ use crate::brdf::{Brdf, is_lit, mask_unlit};
 use crate::dispatch;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::angle;
+use crate::microfacet::half_vector;
 use crate::model::Model;
 use crate::sampler::Sampler;
 use crate::simd::{LANES, Lane3};
@@ -450,7 +451,7 @@ impl<const LINEAR: bool> Lookup for Bivariate<'_, LINEAR> {
 /// √θ_h and θ_d in units of bins.
 #[inline(always)]
 fn half_diff(light: [f32; 3], view: [f32; 3]) -> [f32; 2] {
-    let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+    let h = half_vector(light, view);
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     let across = (h[0] * h[0] + h[1] * h[1]).sqrt();
     let along = (across * across + h[2] * h[2]).sqrt();
@@ -464,12 +465,15 @@ fn half_diff(light: [f32; 3], view: [f32; 3]) -> [f32; 2] {
 /// modulo 180°. The very same number for both orders of light and view.
 #[inline(always)]
 fn azimuth(light: [f32; 3], view: [f32; 3]) -> f32 {
-    let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+    let h = half_vector(light, view);
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     // Twice the light's components along the tangent (in the plane) and the bitangent, times sinθ_h.
     let across = h[0] * h[0] + h[1] * h[1];
     let (along, beside) = if across > 0.0 {
-        (-d[2] * (across + h[2] * h[2]).sqrt(), d[1] * h[0] - d[0] * h[1])
+        // The first is −d_z |h| too, but that takes lengths of exactly 1.
+        let outward = d[0] * h[0] + d[1] * h[1];
+        let along = (h[2] * outward - across * d[2]) / (across + h[2] * h[2]).sqrt();
+        (along, d[1] * h[0] - d[0] * h[1])
     } else {
         (d[0], d[1])
     };
@@ -481,7 +485,7 @@ fn azimuth(light: [f32; 3], view: [f32; 3]) -> f32 {
 
 /// The same model in float64 by its definition. What tests compare against.
 pub mod reference {
-    use super::{AZIMUTH_BINS, DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation, Product};
+    use super::{AZIMUTH_BINS, DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation, MIN_COS, Product};
     use crate::smith;
     use glam::{DMat3, DVec3};
     use std::f64::consts::{FRAC_PI_2, PI};
@@ -516,8 +520,8 @@ pub mod reference {
             f64::from(p.diffuse[c]) + specular * rest
         };
         let masking = |knots: &[f64], direction: DVec3| {
-            let theta = direction.z.acos().min(89f64.to_radians());
-            knot(knots, theta.to_degrees()) / theta.cos()
+            let theta = direction.truncate().length().atan2(direction.z).min(89f64.to_radians());
+            knot(knots, theta.to_degrees()) / direction.z.max(MIN_COS.into())
         };
         std::array::from_fn(|c| match &*material.factors {
             Factors::IndependentG { product: p, masking: g } => {
