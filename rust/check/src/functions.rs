@@ -6,7 +6,7 @@ use glimt_core::features::{self, Inputs, MAX_FEATURES};
 use glimt_core::hybrid::Composition;
 use glimt_core::lobes::{self, Lobes};
 use glimt_core::math::{self, EXP_MAX, EXP_MIN};
-use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
+use glimt_core::microfacet::{self, ETA_RANGE, Half, MIN_ALPHA, Microfacet};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -95,7 +95,7 @@ pub const FUNCTIONS: &[Function] = &[
     Function {
         name: "microfacet::fresnel",
         range: "cos 1e-30..1, η 1..10 and 1+1e-7",
-        budget: 12.0,
+        budget: 16.0,
         unit: Unit::Result,
         compare: |rng, unit, worst| {
             let inputs = [log_uniform(rng, 1e-30, 1.0), index(rng)];
@@ -111,32 +111,32 @@ pub const FUNCTIONS: &[Function] = &[
         compare: |rng, unit, worst| {
             let (v, _) = directions(rng);
             let alpha = roughness(rng);
-            let value = microfacet::masking_denominator(v.into(), alpha);
+            let value = microfacet::masking_denominator(v.to_array(), alpha);
             scalar(worst, unit, v.to_array(), value, |v| {
                 2.0 * v[2] / microfacet::reference::g1(v, alpha.map(f64::from))
             });
         },
     },
     Function {
-        name: "Microfacet::geometry, D(h)",
+        name: "Half::ndf",
         range: PAIRS,
         budget: 12.0,
         unit: Unit::Result,
         compare: |rng, unit, worst| {
             let ((l, v), p) = (directions(rng), parameters(rng));
-            pair(worst, unit, l, v, p.geometry(l.into(), v.into()).ndf, |l, v| {
+            pair(worst, unit, l, v, Half::new(l.to_array(), v.to_array()).ndf(p.alpha), |l, v| {
                 microfacet::reference::ndf((l + v).normalize().into(), p.alpha.map(f64::from))
             });
         },
     },
     Function {
-        name: "Microfacet::geometry, cosθ_d",
+        name: "Half::cos_d",
         range: PAIRS,
         budget: 2.0,
         unit: Unit::Result,
         compare: |rng, unit, worst| {
-            let ((l, v), p) = (directions(rng), parameters(rng));
-            pair(worst, unit, l, v, p.geometry(l.into(), v.into()).cos_d, |l, v| {
+            let (l, v) = directions(rng);
+            pair(worst, unit, l, v, Half::new(l.to_array(), v.to_array()).cos_d(), |l, v| {
                 (0.5 * (l + v).length()).min(1.0)
             });
         },
@@ -148,7 +148,7 @@ pub const FUNCTIONS: &[Function] = &[
         unit: Unit::Result,
         compare: |rng, unit, worst| {
             let ((l, v), p) = (directions(rng), parameters(rng));
-            pair(worst, unit, l, v, p.eval(l.into(), v.into())[0], |l, v| {
+            pair(worst, unit, l, v, p.eval(l.to_array(), v.to_array())[0], |l, v| {
                 microfacet::reference::eval(&p, l.into(), v.into())[0]
             });
         },
@@ -262,7 +262,7 @@ fn pair(
 
 fn feature_of(rng: &mut Pcg64Mcg, unit: Unit, worst: &mut Worst, inputs: Inputs, index: usize) {
     let ((l, v), alpha) = (directions(rng), roughness(rng));
-    let computed: [f32; MAX_FEATURES] = inputs.compute(l.into(), v.into(), alpha);
+    let computed: [f32; MAX_FEATURES] = inputs.compute(l.to_array(), v.to_array(), alpha);
     pair(worst, unit, l, v, computed[index], |l, v| {
         features::reference::compute(inputs, l, v, alpha.map(f64::from))[index]
     });

@@ -50,8 +50,8 @@ fn wrong_sample(view: Vec3, sample: Sample) -> Option<String> {
     (!is_valid).then(|| format!("the sample is {sample:?}"))
 }
 
-/// Where the ways to evaluate differ, or `None`: one by one, in tiles, and in batches of any length
-/// that begin anywhere.
+/// Where the ways to evaluate differ, or `None`: one by one, in tiles, in packets of any width, and in
+/// batches of any length that begin anywhere.
 #[must_use]
 pub fn disagreement(material: &Material, pairs: &[Pair]) -> Option<String> {
     let (light, view): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().copied().unzip();
@@ -64,6 +64,28 @@ pub fn disagreement(material: &Material, pairs: &[Pair]) -> Option<String> {
         material.eval_batch(&light[range.clone()], &view[range.clone()], &mut batch);
         if bits(&batch) != bits(&singles[range.clone()]) {
             return Some(format!("the batch {range:?} differs from single evaluations"));
+        }
+    }
+    for width in [1, 4, 7, 8, LANES] {
+        for (chunk, expected) in pairs.chunks_exact(width).zip(singles.chunks_exact(width)) {
+            let component = |of: fn(&Pair) -> Vec3, c: usize| -> Vec<f32> {
+                chunk.iter().map(|pair| of(pair)[c]).collect()
+            };
+            let [light, view] = [(|pair| pair.0) as fn(&Pair) -> Vec3, |pair| pair.1]
+                .map(|of| [0, 1, 2].map(|c| component(of, c)));
+            let mut f = [0, 1, 2].map(|_| vec![f32::NAN; width]);
+            let [red, green, blue] = &mut f;
+            material.eval_packet(
+                light.each_ref().map(Vec::as_slice),
+                view.each_ref().map(Vec::as_slice),
+                [red, green, blue],
+            );
+            let f: Vec<Vec3> = (0..width).map(|i| Vec3::new(f[0][i], f[1][i], f[2][i])).collect();
+            if bits(&f) != bits(expected) {
+                return Some(format!(
+                    "a packet of {width} differs from single evaluations: {f:?}, {expected:?}"
+                ));
+            }
         }
     }
     for (chunk, expected) in pairs.chunks_exact(LANES).zip(singles.chunks_exact(LANES)) {

@@ -19,7 +19,7 @@ use crate::brdf::{Brdf, is_lit, mask_unlit};
 use crate::dispatch;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::angle;
-use crate::microfacet::half_vector;
+use crate::microfacet::Half;
 use crate::model::Model;
 use crate::sampler::Sampler;
 use crate::simd::{LANES, Lane3};
@@ -451,7 +451,7 @@ impl<const LINEAR: bool> Lookup for Bivariate<'_, LINEAR> {
 /// √θ_h and θ_d in units of bins.
 #[inline(always)]
 fn half_diff(light: [f32; 3], view: [f32; 3]) -> [f32; 2] {
-    let h = half_vector(light, view);
+    let h = Half::new(light, view).vector;
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     let across = (h[0] * h[0] + h[1] * h[1]).sqrt();
     let along = (across * across + h[2] * h[2]).sqrt();
@@ -465,7 +465,7 @@ fn half_diff(light: [f32; 3], view: [f32; 3]) -> [f32; 2] {
 /// modulo 180°. The very same number for both orders of light and view.
 #[inline(always)]
 fn azimuth(light: [f32; 3], view: [f32; 3]) -> f32 {
-    let h = half_vector(light, view);
+    let h = Half::new(light, view).vector;
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     // Twice the light's components along the tangent (in the plane) and the bitangent, times sinθ_h.
     let across = h[0] * h[0] + h[1] * h[1];

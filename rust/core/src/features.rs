@@ -168,7 +168,8 @@ fn azimuth_d<F: Real>(half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 2] {
     let beside = (d[1] * h_x - d[0] * h_y) * half.length;
     let square = along * along + beside * beside;
     let least = square.splat(MIN_LENGTH_SQUARED);
-    let distinct = square.both(least.less(half.across), (least * half.across * half.length_squared).less(square));
+    let distinct =
+        square.both(least.less(half.across), (least * half.across * half.length_squared).less(square));
     let inverse = square.sqrt().reciprocal().or_else(distinct, square.splat(0.0));
     [along * inverse, beside * inverse]
 }

@@ -211,6 +211,7 @@ impl<'a> Tile<'a> {
 mod tests {
     use std::sync::Arc;
 
+    use glimt_check::extremes;
     use glimt_core::features::Inputs;
     use glimt_core::hybrid::{Form, Hybrid};
     use glimt_core::library::{Entry, Origin};
@@ -294,5 +295,55 @@ mod tests {
         check::<4>(&materials);
         check::<8>(&materials);
         check::<16>(&materials);
+    }
+
+    /// The pairs `light`, `view` of one material in a packet, as first and as second.
+    fn ask<const N: usize>(material: &Material, pairs: &[(Vec3, Vec3)]) -> [[[f32; N]; 3]; 2] {
+        let component =
+            |of: fn(&(Vec3, Vec3)) -> Vec3, c: usize| std::array::from_fn(|lane| of(&pairs[lane])[c]);
+        let [light, view] = [(|pair| pair.0) as fn(&(Vec3, Vec3)) -> Vec3, |pair| pair.1]
+            .map(|of| [0, 1, 2].map(|c| component(of, c)));
+        let address = &raw const *material as u64;
+        let mut packet = Packet::<N> {
+            light,
+            second_x: light[0],
+            view,
+            second_y: light[1],
+            second_z: light[2],
+            wanted: [FIRST | SECOND; N],
+            address_low: [address as u32; N],
+            address_high: [(address >> 32) as u32; N],
+            _normal: [[0.0; N]; 3],
+            first: [[f32::NAN; N]; 3],
+            second: [[f32::NAN; N]; 2],
+        };
+        let valid = [-1; N];
+        // SAFETY: arrays of N, and the address is that of a material.
+        unsafe { eval_packet::<N>(valid.as_ptr(), std::ptr::null(), std::ptr::null(), &raw mut packet) };
+        [packet.first, [packet.second_z, packet.second[0], packet.second[1]]]
+    }
+
+    #[test]
+    fn extreme_inputs_have_the_answers_of_single_evaluations() {
+        fn check<const N: usize>(material: &Material, pairs: &[(Vec3, Vec3)], case: &str) {
+            for chunk in pairs.chunks_exact(N) {
+                let answers = ask::<N>(material, chunk);
+                for (lane, &(light, view)) in chunk.iter().enumerate() {
+                    let expected = material.core().eval(light, view).to_array();
+                    for f in answers {
+                        let f = f.map(|channel| channel[lane]);
+                        assert_eq!(f, expected, "{case}, a packet of {N} at light {light}, view {view}");
+                    }
+                }
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let pairs: Vec<(Vec3, Vec3)> = extremes::families().into_iter().flat_map(|f| f.pairs).collect();
+        for (path, case) in extremes::save_libraries(folder.path()).unwrap() {
+            let material = open(path.to_str().unwrap(), "").unwrap();
+            check::<4>(&material, &pairs, &case.name);
+            check::<8>(&material, &pairs, &case.name);
+            check::<16>(&material, &pairs, &case.name);
+        }
     }
 }

@@ -1,0 +1,37 @@
+//! Writes the catalogue of extreme inputs for tests in other languages, with the answers of the core.
+//!
+//!     cargo run --release -p glimt-check --example export_catalogue -- DIRECTORY
+//!
+//! Float32, little-endian: `pairs.raw` holds (n, 6), light and view; beside each library `LIBRARY.f.raw`
+//! (n, 3) and `LIBRARY.pdf.raw` (n). `families.txt` names the family of each pair.
+
+use std::path::Path;
+
+use glimt_check::extremes::{families, save_libraries};
+use glimt_core::{Brdf, SampleBrdf};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let directory = std::env::args().nth(1).ok_or("expected the directory to write to")?;
+    let directory = Path::new(&directory);
+    let mut names = String::new();
+    let mut pairs = Vec::new();
+    for family in families() {
+        names.push_str(&format!("{}\n", family.name).repeat(family.pairs.len()));
+        pairs.extend(family.pairs);
+    }
+    std::fs::write(directory.join("families.txt"), names)?;
+    let write = |name: &Path, values: Vec<f32>| {
+        std::fs::write(directory.join(name), values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>())
+    };
+    let flat = pairs.iter().flat_map(|(l, v)| [l.x, l.y, l.z, v.x, v.y, v.z]);
+    write(Path::new("pairs.raw"), flat.collect())?;
+    for (path, case) in save_libraries(directory)? {
+        let f = pairs.iter().flat_map(|&(l, v)| case.material.eval(l, v).to_array());
+        write(&path.with_extension("f.raw"), f.collect())?;
+        write(
+            &path.with_extension("pdf.raw"),
+            pairs.iter().map(|&(l, v)| case.material.pdf(l, v)).collect(),
+        )?;
+    }
+    Ok(())
+}

@@ -1,0 +1,113 @@
+"""The catalogue of extreme inputs through Python and Mitsuba: the answers of the core, and nothing
+that is infinite, negative or NaN."""
+
+import numpy as np
+import pytest
+from extreme_inputs import export
+
+
+@pytest.fixture(scope="module")
+def catalogue(target_dir, tmp_path_factory):
+    return export(target_dir, tmp_path_factory.mktemp("catalogue"))
+
+
+def assert_valid(f, pdf, where):
+    """f and pdf are finite and not negative, and the pdf is positive where f is."""
+    assert np.isfinite(f).all() and (f >= 0).all(), where
+    assert np.isfinite(pdf).all() and (pdf >= 0).all(), where
+    assert (pdf[(f > 0).any(axis=1)] > 0).all(), where
+
+
+def assert_valid_samples(light_z, pdf, weight, where):
+    """A sample is above the horizon with a finite weight, or failed with none."""
+    sampled = pdf > 0
+    assert sampled.any() and np.isfinite(pdf).all() and np.isfinite(weight).all(), where
+    assert (weight >= 0).all() and (light_z[sampled] > 0).all() and not weight[~sampled].any(), where
+
+
+def test_python_has_the_bits_of_the_core(catalogue):
+    glimt = pytest.importorskip("glimt", reason="the package is not installed: pip install .")
+    u = np.random.default_rng(3).random((len(catalogue.view), 3), np.float32)
+    # The same numbers one byte further on.
+    unaligned = np.empty(catalogue.light.nbytes + 1, np.uint8)[1:].view(np.float32)
+    unaligned = unaligned.reshape(catalogue.light.shape)
+    unaligned[:] = catalogue.light
+    for path, (f, pdf) in catalogue.libraries.items():
+        library = glimt.load(path)
+        material = library[library.materials[0]]
+        for light in (catalogue.light, unaligned):
+            np.testing.assert_array_equal(material.eval(light, catalogue.view), f, str(path))
+            np.testing.assert_array_equal(material.pdf(light, catalogue.view), pdf, str(path))
+        assert material.eval(catalogue.light[:0], catalogue.view[:0]).shape == (0, 3)
+        assert_valid(f, pdf, path)
+        light, density, weight = material.sample(catalogue.view, u)
+        assert_valid_samples(light[:, 2], density, weight, path)
+
+
+# Dr.Jit's kernels take denormals for 0; what that moves is smaller than this.
+SMALLEST_NORMAL = np.finfo(np.float32).tiny
+
+
+def assert_close(f_cos, pdf, expected_f, expected_pdf, light, where):
+    """What Mitsuba answers is f cosθ and the pdf of the core, to a few ULP."""
+    assert_valid(f_cos, pdf, where)
+    expected = expected_f * np.maximum(np.nan_to_num(light[:, 2:], posinf=0, neginf=0), 0)
+    np.testing.assert_allclose(f_cos, expected, rtol=1e-5, atol=SMALLEST_NORMAL, err_msg=str(where))
+    np.testing.assert_allclose(pdf, expected_pdf, rtol=1e-5, atol=SMALLEST_NORMAL, err_msg=str(where))
+
+
+def is_denormal(v):
+    """Whether a direction's cosine is 0 for Dr.Jit's kernels, but not for the core."""
+    return (v[:, 2] > 0) & (v[:, 2] < SMALLEST_NORMAL)
+
+
+@pytest.mark.parametrize("traced", [False, True], ids=["in-kernel call", "traced"])
+def test_mitsuba_llvm_has_the_answers_of_the_core(catalogue, traced):
+    from mitsuba_common import dr, interaction, mi
+
+    mi.set_variant("llvm_ad_rgb")
+    light, view = catalogue.light, catalogue.view
+    kept = ~(is_denormal(light) | is_denormal(view))
+    random = np.random.default_rng(4).random((3, len(light)), np.float32)
+    # Tracing a network takes seconds: of each kind the first materials show what there is to see.
+    paths = [path for path in catalogue.libraries if not traced or path.stem.endswith(("-0", "-1"))]
+    for path in paths:
+        f, pdf = catalogue.libraries[path]
+        bsdf = mi.load_dict({"type": "glimt", "filename": str(path)})
+        si, context = interaction(view.T), mi.BSDFContext()
+        if traced:
+            dr.enable_grad(si.wi)
+        value, density = bsdf.eval_pdf(context, si, mi.Vector3f(light.T))
+        value, density = np.array(dr.detach(value)).T, np.array(dr.detach(density))
+        assert_valid(value, density, path)
+        if not traced:
+            assert_close(value[kept], density[kept], f[kept], pdf[kept], light[kept], path)
+        sample, weight = bsdf.sample(context, si, mi.Float(random[0]), mi.Point2f(random[1:]))
+        parts = (sample.wo.z, sample.pdf, weight)
+        wo_z, density, weight = (np.array(dr.detach(part)) for part in parts)
+        assert_valid_samples(wo_z, density, weight.T, path)
+
+
+def test_mitsuba_scalar_has_the_answers_of_the_core(catalogue):
+    from mitsuba_common import mi
+
+    mi.set_variant("scalar_rgb")
+    # Every family, a few pairs of each: a call takes microseconds.
+    chosen = np.concatenate(
+        [np.flatnonzero(catalogue.families == name)[::37] for name in np.unique(catalogue.families)]
+    )
+    light, view = catalogue.light[chosen], catalogue.view[chosen]
+    context, si = mi.BSDFContext(), mi.SurfaceInteraction3f()
+    for path, (f, pdf) in catalogue.libraries.items():
+        bsdf = mi.load_dict({"type": "glimt", "filename": str(path)})
+        values, densities, samples = [], [], []
+        for wo, wi in zip(light, view):
+            si.wi = wi
+            value, density = bsdf.eval_pdf(context, si, wo)
+            sample, weight = bsdf.sample(context, si, 0.3, [0.4, 0.6])
+            values.append(np.array(value))
+            densities.append(density)
+            samples.append([sample.wo.z, sample.pdf, *np.array(weight)])
+        samples = np.array(samples)
+        assert_close(np.array(values), np.array(densities), f[chosen], pdf[chosen], light, path)
+        assert_valid_samples(samples[:, 0], samples[:, 1], samples[:, 2:], path)
