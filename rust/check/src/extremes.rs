@@ -57,8 +57,8 @@ pub const KINDS: [Kind; 5] = [
     Kind { name: Factor::KIND, cases: factor_cases, budget: 32.0 },
 ];
 
-/// f of a pair above the horizon by the model's float64 reference; `None` for tables that are constant
-/// in each bin, whose error at an edge is that of the bin.
+/// f of a pair above the horizon by the model's float64 reference; `None` for measurements, which have
+/// none, and tables that are constant in each bin, whose error at an edge is that of the bin.
 #[must_use]
 pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64; 3]> {
     let f = match material {
@@ -73,6 +73,8 @@ pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64;
             }
             factor::reference::eval(m, light, view)
         }
+        // A measurement is the table that it is.
+        Material::Tabulated(_) => return None,
     };
     Some(f)
 }
@@ -101,7 +103,7 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
             Neural::new(Arc::new(shared), latent, m.bound()).map(Material::from)
         }
         Material::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
-        Material::Factor(_) => return None,
+        Material::Factor(_) | Material::Tabulated(_) => return None,
     };
     Some(nudged.expect("numbers stay in their ranges"))
 }
