@@ -11,13 +11,22 @@ from conftest import ROOT
 
 
 @dataclass
+class Answers:
+    """f (n, 3) in batches and one by one, and pdf (n)."""
+
+    f: np.ndarray
+    one: np.ndarray
+    pdf: np.ndarray
+
+
+@dataclass
 class Catalogue:
-    """Pairs of directions with their families, and of every library f (n, 3) and pdf (n)."""
+    """Pairs of directions with their families, and the answers of every library."""
 
     light: np.ndarray
     view: np.ndarray
     families: np.ndarray
-    libraries: dict[Path, tuple[np.ndarray, np.ndarray]]
+    libraries: dict[Path, Answers]
 
 
 def export(target_dir, directory):
@@ -29,8 +38,9 @@ def export(target_dir, directory):
     subprocess.run(run, cwd=ROOT, check=True)
     pairs = np.fromfile(directory / "pairs.raw", np.float32).reshape(-1, 6)
     libraries = {
-        path: (
+        path: Answers(
             np.fromfile(path.with_suffix(".f.raw"), np.float32).reshape(-1, 3),
+            np.fromfile(path.with_suffix(".one.raw"), np.float32).reshape(-1, 3),
             np.fromfile(path.with_suffix(".pdf.raw"), np.float32),
         )
         for path in sorted(directory.glob("*.safetensors"))

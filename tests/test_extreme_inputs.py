@@ -32,7 +32,8 @@ def test_python_has_the_bits_of_the_core(catalogue):
     unaligned = np.empty(catalogue.light.nbytes + 1, np.uint8)[1:].view(np.float32)
     unaligned = unaligned.reshape(catalogue.light.shape)
     unaligned[:] = catalogue.light
-    for path, (f, pdf) in catalogue.libraries.items():
+    for path, answers in catalogue.libraries.items():
+        f, pdf = answers.f, answers.pdf
         library = glimt.load(path)
         material = library[library.materials[0]]
         for light in (catalogue.light, unaligned):
@@ -72,7 +73,7 @@ def test_mitsuba_llvm_has_the_answers_of_the_core(catalogue, traced):
     # Tracing a network takes seconds: of each kind the first materials show what there is to see.
     paths = [path for path in catalogue.libraries if not traced or path.stem.endswith(("-0", "-1"))]
     for path in paths:
-        f, pdf = catalogue.libraries[path]
+        f, pdf = catalogue.libraries[path].f, catalogue.libraries[path].pdf
         bsdf = mi.load_dict({"type": "glimt", "filename": str(path)})
         si, context = interaction(view.T), mi.BSDFContext()
         if traced:
@@ -98,7 +99,8 @@ def test_mitsuba_scalar_has_the_answers_of_the_core(catalogue):
     )
     light, view = catalogue.light[chosen], catalogue.view[chosen]
     context, si = mi.BSDFContext(), mi.SurfaceInteraction3f()
-    for path, (f, pdf) in catalogue.libraries.items():
+    for path, answers in catalogue.libraries.items():
+        f, pdf = answers.one, answers.pdf
         bsdf = mi.load_dict({"type": "glimt", "filename": str(path)})
         values, densities, samples = [], [], []
         for wo, wi in zip(light, view):

@@ -3,11 +3,12 @@
 //!     cargo run --release -p glimt-check --example export_catalogue -- DIRECTORY
 //!
 //! Float32, little-endian: `pairs.raw` holds (n, 6), light and view; beside each library `LIBRARY.f.raw`
-//! (n, 3) and `LIBRARY.pdf.raw` (n). `families.txt` names the family of each pair.
+//! (n, 3), evaluated as a batch, `LIBRARY.one.raw` (n, 3), one by one, and `LIBRARY.pdf.raw` (n). `families.txt` names the family of each pair.
 
 use std::path::Path;
 
 use glimt_check::extremes::{families, save_libraries};
+use glimt_check::stability::eval_batch;
 use glimt_core::{Brdf, SampleBrdf};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -26,8 +27,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let flat = pairs.iter().flat_map(|(l, v)| [l.x, l.y, l.z, v.x, v.y, v.z]);
     write(Path::new("pairs.raw"), flat.collect())?;
     for (path, case) in save_libraries(directory)? {
-        let f = pairs.iter().flat_map(|&(l, v)| case.material.eval(l, v).to_array());
-        write(&path.with_extension("f.raw"), f.collect())?;
+        let batch = eval_batch(&case.material, &pairs).into_iter().flat_map(|f| f.to_array());
+        write(&path.with_extension("f.raw"), batch.collect())?;
+        let singles = pairs.iter().flat_map(|&(l, v)| case.material.eval(l, v).to_array());
+        write(&path.with_extension("one.raw"), singles.collect())?;
         write(
             &path.with_extension("pdf.raw"),
             pairs.iter().map(|&(l, v)| case.material.pdf(l, v)).collect(),

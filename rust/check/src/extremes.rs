@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use glimt_core::analytic::{Analytic, Parameters, Specular};
 use glimt_core::factor::{self, Factor, Factors, Interpolation, Product, Variant};
 use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
@@ -48,16 +49,17 @@ pub struct Kind {
 }
 
 /// Every kind of model. A new one is covered by a line here and its reference in [`reference`].
-pub const KINDS: [Kind; 5] = [
+pub const KINDS: [Kind; 6] = [
     Kind { name: Ggx::KIND, cases: ggx_cases, budget: 4.0 },
     Kind { name: Hybrid::KIND, cases: hybrid_cases, budget: 8.0 },
     Kind { name: Neural::KIND, cases: neural_cases, budget: 4.0 },
     Kind { name: Nbrdf::KIND, cases: nbrdf_cases, budget: 4.0 },
     // A place among 90 bins takes 6 of a float's 24 bits.
     Kind { name: Factor::KIND, cases: factor_cases, budget: 32.0 },
+    Kind { name: Analytic::KIND, cases: analytic_cases, budget: 0.0 },
 ];
 
-/// f of a pair above the horizon by the model's float64 reference; `None` for measurements, which have
+/// f of a pair above the horizon by the model's float64 reference; `None` for kinds that have
 /// none, and tables that are constant in each bin, whose error at an edge is that of the bin.
 #[must_use]
 pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64; 3]> {
@@ -73,8 +75,8 @@ pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64;
             }
             factor::reference::eval(m, light, view)
         }
-        // A measurement is the table that it is.
-        Material::Tabulated(_) => return None,
+        // A measurement is the table that it is, and these are evaluated in float64 themselves.
+        Material::Tabulated(_) | Material::Analytic(_) => return None,
     };
     Some(f)
 }
@@ -103,7 +105,7 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
             Neural::new(Arc::new(shared), latent, m.bound()).map(Material::from)
         }
         Material::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
-        Material::Factor(_) | Material::Tabulated(_) => return None,
+        Material::Factor(_) | Material::Analytic(_) | Material::Tabulated(_) => return None,
     };
     Some(nudged.expect("numbers stay in their ranges"))
 }
@@ -559,4 +561,35 @@ fn factor_cases() -> Vec<Case> {
         Factors::Bivariate((0..bins).map(|i| [MAX_SCALE * lobe(i as f32 / 500.0), 0.0, 1e-30]).collect()),
     );
     cases
+}
+
+fn analytic_cases() -> Vec<Case> {
+    let scale = [1e6, 0.0, 1.0];
+    let (tiny, large) = (f64::from(MIN_ALPHA), 1e6);
+    let lobes = [
+        Specular::CookTorrance { scale, reflectance: 0.0, roughness: tiny },
+        Specular::CookTorrance { scale, reflectance: 1.0, roughness: large },
+        Specular::Ward { scale, roughness: tiny },
+        Specular::Ward { scale, roughness: large },
+        Specular::AshikhminShirley { scale, reflectance: 0.04, sharpness: large },
+        Specular::AshikhminShirley { scale, reflectance: 0.04, sharpness: 0.0 },
+        Specular::LowMicrofacet { scale, slope: large, falloff: 5.0, eta: 1.0 },
+        Specular::LowMicrofacet { scale, slope: large, falloff: -5.0, eta: 10.0 },
+        Specular::ShiftedGamma {
+            scale,
+            alpha: [tiny, 1.0, large],
+            power: [0.5, 50.0, -50.0],
+            fresnel: [[0.04, 1.0, 0.0], [0.0, 1.0, -1.0]],
+            norm: [1.0, large, 1.0],
+            masking: [[1.0, 0.0, 5.0], [-1.0, 0.0, 300.0], [2.0, 0.0, -2.0], [0.5, 0.0, 0.0]],
+        },
+    ];
+    lobes
+        .into_iter()
+        .map(|specular| {
+            let name = format!("{specular:?}");
+            let material = Analytic::new(Parameters { diffuse: [0.0, 0.5, 1.0], specular });
+            Case { name, material: material.expect("parameters are in their ranges").into() }
+        })
+        .collect()
 }

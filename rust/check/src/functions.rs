@@ -64,7 +64,7 @@ const PAIRS: &str = "pairs: cosθ 1e-37..1, mirror, light = view";
 pub const FUNCTIONS: &[Function] = &[
     Function {
         name: "math::exp",
-        range: "-87.3..88.7",
+        range: "-87.3..88.3",
         budget: 2.0,
         unit: Unit::Result,
         compare: |rng, unit, worst| {

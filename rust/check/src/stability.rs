@@ -50,53 +50,49 @@ fn wrong_sample(view: Vec3, sample: Sample) -> Option<String> {
     (!is_valid).then(|| format!("the sample is {sample:?}"))
 }
 
-/// Where the ways to evaluate differ, or `None`: one by one, in tiles, in packets of any width, and in
-/// batches of any length that begin anywhere.
+/// f of all pairs by batch.
 #[must_use]
-pub fn disagreement(material: &Material, pairs: &[Pair]) -> Option<String> {
+pub fn eval_batch(material: &Material, pairs: &[Pair]) -> Vec<Vec3> {
     let (light, view): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().copied().unzip();
-    let singles: Vec<Vec3> = pairs.iter().map(|&(l, v)| material.eval(l, v)).collect();
+    let mut f = vec![Vec3::splat(f32::NAN); pairs.len()];
+    material.eval_batch(&light, &view, &mut f);
+    f
+}
+
+/// Where the ways to evaluate many pairs differ, or `None`: tiles, packets of any width, and batches of
+/// any length that begin anywhere have the bits of `expected`, which is [`eval_batch`] of all.
+#[must_use]
+pub fn disagreement(material: &Material, pairs: &[Pair], expected: &[Vec3]) -> Option<String> {
     let bits = |f: &[Vec3]| f.iter().map(|f| f.to_array().map(f32::to_bits)).collect::<Vec<_>>();
-    for range in
-        [0..pairs.len(), 0..0, 0..1, 1..2, 0..LANES.min(pairs.len()), 3..pairs.len(), 1..pairs.len() - 1]
-    {
-        let mut batch = vec![Vec3::splat(f32::NAN); range.len()];
-        material.eval_batch(&light[range.clone()], &view[range.clone()], &mut batch);
-        if bits(&batch) != bits(&singles[range.clone()]) {
-            return Some(format!("the batch {range:?} differs from single evaluations"));
+    for range in [0..0, 0..1, 1..2, 0..LANES.min(pairs.len()), 3..pairs.len(), 1..pairs.len() - 1] {
+        let batch = eval_batch(material, &pairs[range.clone()]);
+        if bits(&batch) != bits(&expected[range.clone()]) {
+            return Some(format!("the batch {range:?} differs from the whole"));
         }
     }
+    let of = [|pair: &Pair| pair.0, |pair: &Pair| pair.1];
     for width in [1, 4, 7, 8, LANES] {
-        for (chunk, expected) in pairs.chunks_exact(width).zip(singles.chunks_exact(width)) {
-            let component = |of: fn(&Pair) -> Vec3, c: usize| -> Vec<f32> {
-                chunk.iter().map(|pair| of(pair)[c]).collect()
-            };
-            let [light, view] = [(|pair| pair.0) as fn(&Pair) -> Vec3, |pair| pair.1]
-                .map(|of| [0, 1, 2].map(|c| component(of, c)));
+        for (chunk, expected) in pairs.chunks_exact(width).zip(expected.chunks_exact(width)) {
+            let [light, view] =
+                of.map(|of| [0, 1, 2].map(|c| chunk.iter().map(|pair| of(pair)[c]).collect::<Vec<f32>>()));
             let mut f = [0, 1, 2].map(|_| vec![f32::NAN; width]);
             let [red, green, blue] = &mut f;
-            material.eval_packet(
-                light.each_ref().map(Vec::as_slice),
-                view.each_ref().map(Vec::as_slice),
-                [red, green, blue],
-            );
+            let [light, view] = [&light, &view].map(|v| v.each_ref().map(Vec::as_slice));
+            material.eval_packet(light, view, [red, green, blue]);
             let f: Vec<Vec3> = (0..width).map(|i| Vec3::new(f[0][i], f[1][i], f[2][i])).collect();
             if bits(&f) != bits(expected) {
-                return Some(format!(
-                    "a packet of {width} differs from single evaluations: {f:?}, {expected:?}"
-                ));
+                return Some(format!("a packet of {width} differs from the batch: {f:?}, {expected:?}"));
             }
         }
     }
-    for (chunk, expected) in pairs.chunks_exact(LANES).zip(singles.chunks_exact(LANES)) {
-        let component = |of: fn(&Pair) -> Vec3| -> Lane3 {
-            std::array::from_fn(|c| std::array::from_fn(|lane| of(&chunk[lane])[c]))
-        };
+    for (chunk, expected) in pairs.chunks_exact(LANES).zip(expected.chunks_exact(LANES)) {
+        let [light, view]: [Lane3; 2] =
+            of.map(|of| std::array::from_fn(|c| std::array::from_fn(|lane| of(&chunk[lane])[c])));
         let mut tile = [[f32::NAN; LANES]; 3];
-        material.eval_tile(&component(|pair| pair.0), &component(|pair| pair.1), &mut tile);
+        material.eval_tile(&light, &view, &mut tile);
         let tile: Vec<Vec3> = (0..LANES).map(|lane| Vec3::from_array(tile.map(|c| c[lane]))).collect();
         if bits(&tile) != bits(expected) {
-            return Some(format!("a tile differs from single evaluations: {tile:?}, {expected:?}"));
+            return Some(format!("a tile differs from the batch: {tile:?}, {expected:?}"));
         }
     }
     None
@@ -119,22 +115,20 @@ pub fn run(case: &Case, families: &[Family]) -> Outcome {
     let mut outcome = Outcome { violations: Vec::new(), errors: Vec::new() };
     for family in families {
         let mut worst = Worst::default();
-        for &(light, view) in &family.pairs {
-            let f = material.eval(light, view);
+        let batch = eval_batch(material, &family.pairs);
+        for (&(light, view), &in_batch) in family.pairs.iter().zip(&batch) {
             let u = Vec3::new(rng.random(), rng.random(), rng.random());
-            for u in [
-                u,
-                Vec3::ZERO,
-                Vec3::splat(1.0 - f32::EPSILON / 2.0),
-                Vec3::new(0.0, u.y, 1.0 - f32::EPSILON / 2.0),
-            ] {
-                outcome.violations.extend(violation(material, (light, view), f, u));
-            }
-            if is_lit(light, view) {
-                compare(material, &neighbours, (light, view), f, &mut worst);
+            const LAST: f32 = 1.0 - f32::EPSILON / 2.0;
+            for f in [in_batch, material.eval(light, view)] {
+                for u in [u, Vec3::ZERO, Vec3::splat(LAST), Vec3::new(0.0, u.y, LAST)] {
+                    outcome.violations.extend(violation(material, (light, view), f, u));
+                }
+                if is_lit(light, view) {
+                    compare(material, &neighbours, (light, view), f, &mut worst);
+                }
             }
         }
-        outcome.violations.extend(disagreement(material, &family.pairs));
+        outcome.violations.extend(disagreement(material, &family.pairs, &batch));
         outcome.errors.push(worst);
     }
     let name = |wrong| format!("{} ({}): {wrong}", material.kind(), case.name);
