@@ -335,10 +335,10 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
 }
 
 /// Saves the library before it is measured, which takes a while, and again with its errors.
-fn keep(arguments: &Arguments, entries: &mut Vec<Entry>, inputs: &[Input]) -> Result<()> {
-    Library::new(&arguments.output, entries.clone())?.save()?;
+fn keep(arguments: &Arguments, entries: &mut [Entry], inputs: &[Input]) -> Result<()> {
+    Library::new(&arguments.output, entries.to_vec())?.save()?;
     fitting::measure(entries, inputs);
-    Library::new(&arguments.output, entries.clone())?.save()?;
+    Library::new(&arguments.output, entries.to_vec())?.save()?;
     Ok(())
 }
 

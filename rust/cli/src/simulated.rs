@@ -100,7 +100,7 @@ impl Simulated {
         for (light, view) in pairs {
             request.extend(light.to_array().into_iter().chain(view.to_array()).flat_map(f32::to_le_bytes));
         }
-        let mut answer = vec![0; out.len() * size_of::<Vec3>()];
+        let mut answer = vec![0; size_of_val(out)];
         let mut pipe = self.pipe.lock().unwrap_or_else(PoisonError::into_inner);
         let asked = pipe.requests.write_all(&request).and_then(|()| pipe.requests.flush());
         match asked.and_then(|()| pipe.answers.read_exact(&mut answer)) {
