@@ -158,8 +158,11 @@ mod tests {
     fn a_line_is_a_material() {
         let (name, material) = parse(WARD).unwrap();
         assert_eq!(name, "paint");
-        let specular = Specular::Ward { scale: [0.01, 0.0, 0.5], roughness: 0.02 };
-        assert_eq!(*material.parameters(), Parameters { diffuse: [0.1, 0.2, 0.3], specular });
+        // Parameters are float32, as the library stores them.
+        let specular =
+            Specular::Ward { scale: [0.01_f32, 0.0, 0.5].map(f64::from), roughness: 0.02_f32.into() };
+        let diffuse = [0.1_f32, 0.2, 0.3].map(f64::from);
+        assert_eq!(*material.parameters(), Parameters { diffuse, specular });
     }
 
     #[test]

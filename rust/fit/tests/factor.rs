@@ -63,7 +63,8 @@ fn a_material_of_factors_comes_back() {
 #[test]
 fn seeds_end_alike_and_the_same_seed_ends_the_same() {
     let brdf = glossy();
-    let ends = |seed| fit_factor(&brdf, &options(Variant::IndependentG, seed)).traces.map(|trace| last(&trace));
+    let ends =
+        |seed| fit_factor(&brdf, &options(Variant::IndependentG, seed)).traces.map(|trace| last(&trace));
     let (first, again, other) = (ends(1), ends(1), ends(2));
     assert_eq!(first, again);
     for (a, b) in first.into_iter().zip(other) {

@@ -193,7 +193,8 @@ mod tests {
                 (f64::from(light.z) - cos_light).abs() < 1e-6 && (f64::from(view.z) - cos_view).abs() < 1e-6
             );
             let found = position(light.as_dvec3().normalize(), view.as_dvec3().normalize());
-            for (found, (bin, tolerance)) in found.iter().zip([(half, 0.05), (diff, 1e-3), (azimuth, 0.05)]) {
+            // Near the pole of half vectors float32 leaves little of the azimuth.
+            for (found, (bin, tolerance)) in found.iter().zip([(half, 0.05), (diff, 1e-3), (azimuth, 0.2)]) {
                 assert!((found - bin as f64 - 0.5).abs() < tolerance, "{sample}: {found} for {bin}");
             }
         }
