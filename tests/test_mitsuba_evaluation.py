@@ -88,7 +88,8 @@ def test_scalar_variant_is_the_in_kernel_call(libraries, library):
     for i in range(n):
         si.wi = view[:, i]
         value, density = bsdf.eval_pdf(ctx, si, light[:, i])
-        assert np.allclose(np.array(value) / light[2, i], f[:, i], rtol=1e-5, atol=1e-7)
+        # One pair and a packet add in different orders; additive models subtract numbers of order 1.
+        assert np.allclose(np.array(value) / light[2, i], f[:, i], rtol=1e-5, atol=2e-6)
         assert np.isclose(density, pdf[i], rtol=1e-5)
         sample, w = bsdf.sample(ctx, si, u[0, i], u[1:, i])
         # A direction at the horizon may fail on one side only.

@@ -47,8 +47,10 @@ def test_weight_is_f_cos_over_pdf(libraries, name):
     f = material.eval(light, view)
     assert np.all(np.isfinite(f)) and np.all(f >= 0)
     np.testing.assert_array_equal(material.pdf(light, view)[carried], pdf[carried])
-    expected = f * (light[:, 2] / np.where(carried, pdf, 1))[:, None]
-    np.testing.assert_allclose(weight[carried], expected[carried], rtol=1e-5)
+    scale = (light[:, 2] / np.where(carried, pdf, 1))[:, None]
+    # One pair and a batch add in different orders; additive models subtract numbers of order 1.
+    tolerance = 1e-5 * f * scale + 2e-6 * scale
+    assert np.all(np.abs(weight - f * scale)[carried] <= tolerance[carried])
 
 
 def test_one_pair_and_one_direction_with_many(orange):

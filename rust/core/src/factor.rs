@@ -469,7 +469,8 @@ fn azimuth(light: [f32; 3], view: [f32; 3]) -> f32 {
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     // Twice the light's components along the tangent (in the plane) and the bitangent, times sinθ_h.
     let across = h[0] * h[0] + h[1] * h[1];
-    let (along, beside) = if across > 0.0 {
+    // Squares below the normal numbers have no digits; where they count as 0, h = n.
+    let (along, beside) = if across >= f32::MIN_POSITIVE {
         // The first is −d_z |h| too, but that takes lengths of exactly 1.
         let outward = d[0] * h[0] + d[1] * h[1];
         let along = (h[2] * outward - across * d[2]) / (across + h[2] * h[2]).sqrt();
@@ -478,8 +479,9 @@ fn azimuth(light: [f32; 3], view: [f32; 3]) -> f32 {
         (d[0], d[1])
     };
     let phi = angle(beside.abs(), along.abs());
-    // The second and the fourth quadrant are one modulo 180°.
-    let phi = if along * beside < 0.0 { PI - phi } else { phi };
+    // The second and the fourth quadrant are one modulo 180°. The sign of the product would vanish with it.
+    let opposite = (along < 0.0 && beside > 0.0) || (along > 0.0 && beside < 0.0);
+    let phi = if opposite { PI - phi } else { phi };
     (phi * (AZIMUTH_BINS as f32 / PI)).min(AZIMUTH_BINS as f32 - 0.5)
 }
 
