@@ -73,10 +73,17 @@ dispatch! {
 
 dispatch! {
     fn packet[K: Kernel](isa, model: &K, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
-        match out[0].len() {
-            0..=4 if I::BATCH == 8 => packets::<K, I, 4>(isa, model, light, view, out),
-            0..=8 => packets::<K, I, 8>(isa, model, light, view, out),
-            _ => packets::<K, I, 16>(isa, model, light, view, out),
+        // Nested, so that lanes which an instruction set does not use are not compiled for it.
+        match I::BATCH {
+            4 => packets::<K, I, 4>(isa, model, light, view, out),
+            8 => match out[0].len() {
+                0..=4 => packets::<K, I, 4>(isa, model, light, view, out),
+                _ => packets::<K, I, 8>(isa, model, light, view, out),
+            },
+            _ => match out[0].len() {
+                0..=8 => packets::<K, I, 8>(isa, model, light, view, out),
+                _ => packets::<K, I, 16>(isa, model, light, view, out),
+            },
         }
     }
 }
@@ -84,9 +91,10 @@ dispatch! {
 dispatch! {
     fn batch[K: Kernel](isa, model: &K, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         match I::BATCH {
-            32 => batches::<K, I, 32>(isa, model, light, view, out),
+            4 => batches::<K, I, 4>(isa, model, light, view, out),
+            8 => batches::<K, I, 8>(isa, model, light, view, out),
             16 => batches::<K, I, 16>(isa, model, light, view, out),
-            _ => batches::<K, I, 8>(isa, model, light, view, out),
+            _ => batches::<K, I, 32>(isa, model, light, view, out),
         }
     }
 }

@@ -12,7 +12,7 @@ use crate::dispatch;
 use crate::hybrid::{Hybrid, MAX_INPUTS};
 use crate::material::Material;
 use crate::network::{MAX_WIDTH, Rows};
-use crate::simd::{LANES, Lane, Lane3, Lanes, Real, Vector};
+use crate::simd::{LANES, Lane3, Lanes, Real, Vector};
 
 /// Whether lanes of `a` and lanes of `b` can be in one tile.
 #[must_use]
@@ -41,72 +41,105 @@ pub fn eval_tile(materials: &[&Material; LANES], light: &Lane3, view: &Lane3, ou
 
 dispatch! {
     fn eval_hybrids(isa, materials: &[&Hybrid; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        let (light, view) = (Vector::load3(isa, light), Vector::load3(isa, view));
-        let lit = lit(light, view);
-        if !Vector::<I, LANES>::any(isa, lit) {
-            *out = [[0.0; LANES]; 3];
-            return;
-        }
-        let mut lanes = BeforeNetwork::default();
-        for lane in 0..LANES {
-            // Neighbours of one material take one pass; where it comes again later, so does the pass.
-            if lane == 0 || !std::ptr::eq(materials[lane], materials[lane - 1]) {
-                lanes.set::<I>(isa, materials[lane], materials, light, view);
-            }
-        }
-        let (form, network) = (materials[0].form(), materials[0].network());
-        let mut y = Rows::default();
-        network.forward_tile(isa, &lanes.first_bias[..], &lanes.x, &mut y);
-        let (bound, zero) = (Vector::load(isa, &lanes.bound), Vector::new(isa, 0.0));
-        // A composition of three outputs has no b.
-        let second = y.len() - 3;
-        for c in 0..3 {
-            let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
-            let analytic = Vector::load(isa, &lanes.analytic[c]);
-            // The lanes have their bounds already.
-            let f = form.composition.compose(bound.min(a), b, analytic, f32::INFINITY);
-            f.or_else(lit, zero).store(&mut out[c]);
+        match I::BATCH {
+            4 => parts::<I, 4>(isa, materials, light, view, out),
+            8 => parts::<I, 8>(isa, materials, light, view, out),
+            _ => parts::<I, 16>(isa, materials, light, view, out),
         }
     }
+}
+
+/// A tile, `L` lanes at a time.
+#[inline(always)]
+fn parts<I: Lanes<L>, const L: usize>(
+    isa: I,
+    materials: &[&Hybrid; LANES],
+    light: &Lane3,
+    view: &Lane3,
+    out: &mut Lane3,
+) {
+    for (part, materials) in materials.as_chunks::<L>().0.iter().enumerate() {
+        let of_part = |side: &Lane3| [0, 1, 2].map(|c| side[c].as_chunks::<L>().0[part]);
+        let f = eval_part(isa, materials, &of_part(light), &of_part(view));
+        for c in 0..3 {
+            out[c].as_chunks_mut::<L>().0[part] = f[c];
+        }
+    }
+}
+
+#[inline(always)]
+fn eval_part<I: Lanes<L>, const L: usize>(
+    isa: I,
+    materials: &[&Hybrid; L],
+    light: &[[f32; L]; 3],
+    view: &[[f32; L]; 3],
+) -> [[f32; L]; 3] {
+    let (light, view) = (Vector::load3(isa, light), Vector::load3(isa, view));
+    let mut out = [[0.0; L]; 3];
+    let lit = lit(light, view);
+    if !Vector::<I, L>::any(isa, lit) {
+        return out;
+    }
+    let mut lanes = BeforeNetwork::default();
+    for lane in 0..L {
+        // Neighbours of one material take one pass; where it comes again later, so does the pass.
+        if lane == 0 || !std::ptr::eq(materials[lane], materials[lane - 1]) {
+            lanes.set::<I>(isa, materials[lane], materials, light, view);
+        }
+    }
+    let (form, network) = (materials[0].form(), materials[0].network());
+    let mut y = Rows::default();
+    network.forward_tile(isa, &lanes.first_bias[..], &lanes.x, &mut y);
+    let (bound, zero) = (Vector::load(isa, &lanes.bound), Vector::new(isa, 0.0));
+    // A composition of three outputs has no b.
+    let second = y.len() - 3;
+    for c in 0..3 {
+        let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
+        let analytic = Vector::load(isa, &lanes.analytic[c]);
+        // The lanes have their bounds already.
+        let f = form.composition.compose(bound.min(a), b, analytic, f32::INFINITY);
+        f.or_else(lit, zero).store(&mut out[c]);
+    }
+    out
 }
 
 /// What materials of one network do not share, for each lane.
-struct BeforeNetwork {
-    x: [Lane; MAX_INPUTS],
-    analytic: Lane3,
-    first_bias: [Lane; MAX_WIDTH],
-    bound: Lane,
+struct BeforeNetwork<const L: usize> {
+    x: [[f32; L]; MAX_INPUTS],
+    analytic: [[f32; L]; 3],
+    first_bias: [[f32; L]; MAX_WIDTH],
+    bound: [f32; L],
 }
 
-impl Default for BeforeNetwork {
+impl<const L: usize> Default for BeforeNetwork<L> {
     #[inline(always)]
     fn default() -> Self {
         BeforeNetwork {
-            x: [[0.0; LANES]; MAX_INPUTS],
-            analytic: [[0.0; LANES]; 3],
-            first_bias: [[0.0; LANES]; MAX_WIDTH],
-            bound: [0.0; LANES],
+            x: [[0.0; L]; MAX_INPUTS],
+            analytic: [[0.0; L]; 3],
+            first_bias: [[0.0; L]; MAX_WIDTH],
+            bound: [0.0; L],
         }
     }
 }
 
-impl BeforeNetwork {
+impl<const L: usize> BeforeNetwork<L> {
     /// Sets the lanes whose material is `own`.
     #[inline(always)]
-    fn set<I: Lanes<LANES>>(
+    fn set<I: Lanes<L>>(
         &mut self,
         isa: I,
         own: &Hybrid,
-        materials: &[&Hybrid; LANES],
-        light: [Vector<I, LANES>; 3],
-        view: [Vector<I, LANES>; 3],
+        materials: &[&Hybrid; L],
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
     ) {
-        let mut is_own = [0.0; LANES];
-        for lane in 0..LANES {
+        let mut is_own = [0.0; L];
+        for lane in 0..L {
             is_own[lane] = if std::ptr::eq(materials[lane], own) { 1.0 } else { 0.0 };
         }
         let mask = Vector::new(isa, 0.0).less(Vector::load(isa, &is_own));
-        let mut x = [[0.0; LANES]; MAX_INPUTS];
+        let mut x = [[0.0; L]; MAX_INPUTS];
         let analytic = own.form().inputs_and_analytic(&own.microfacet, light, view, &mut x);
         for i in 0..own.form().features() {
             Vector::load(isa, &x[i]).or_else(mask, Vector::load(isa, &self.x[i])).store(&mut self.x[i]);

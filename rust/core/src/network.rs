@@ -173,6 +173,11 @@ impl PackedLayer {
         // As many sums at once as hide the latency of a multiply-add: of all rows, and of inputs that
         // are a few apart.
         match (self.stride, I::BATCH) {
+            (_, 4) => {
+                for row in (0..self.stride).step_by(ROW_BLOCK) {
+                    self.forward_vectors::<I, 4, 2, 4>(isa, bias, x, y, row, activation);
+                }
+            }
             (16, 32) => self.forward_vectors::<I, 16, 1, 8>(isa, bias, x, y, 0, activation),
             (16, _) => self.forward_vectors::<I, 8, 2, 4>(isa, bias, x, y, 0, activation),
             (32, 32) => self.forward_vectors::<I, 16, 2, 4>(isa, bias, x, y, 0, activation),

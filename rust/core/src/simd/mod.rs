@@ -100,8 +100,8 @@ pub trait Task<const L: usize> {
 
 /// An instruction set, in every number of lanes.
 pub trait Isa: Lanes<4> + Lanes<8> + Lanes<16> + Lanes<32> {
-    /// Pairs side by side that are fastest in batches: two registers of them, as a weight that is
-    /// loaded then serves twice.
+    /// Pairs side by side that are fastest in batches: two registers of them, as a weight that is loaded
+    /// then serves twice; one where registers are few.
     const BATCH: usize;
 }
 

@@ -9,7 +9,7 @@ use super::{Isa, SQRT_HALF_BITS};
 pub struct Portable;
 
 impl Isa for Portable {
-    const BATCH: usize = 8;
+    const BATCH: usize = 4;
 }
 
 lanes!(Portable: 4 in 1 x Quad, 4 rows);
