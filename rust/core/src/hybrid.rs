@@ -295,22 +295,25 @@ impl Kernel for Hybrid {
 
     #[inline(always)]
     fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
-        // The pair stands in all lanes, so that nothing has to move between them.
-        let mut x = [[0.0; 4]; MAX_INPUTS];
+        // Before the network the pair stands in all lanes, so that nothing has to move between them;
+        // after it the lanes are the channels.
         let (light, view) = (splat3::<I, 4>(isa, light), splat3(isa, view));
-        let analytic = self.form.inputs_and_analytic(&self.microfacet, light, view, &mut x);
-        let mut first = [0.0; MAX_INPUTS];
-        for i in 0..MAX_INPUTS {
-            first[i] = x[i][0];
+        let half = Half::new(light, view);
+        let analytic = self.microfacet.eval_one(isa, &half, light, view);
+        let features = self.form.inputs.compute_half(&half, light, view, self.microfacet.alpha);
+        let mut x = [0.0; MAX_INPUTS];
+        for i in 0..MAX_FEATURES {
+            x[i] = features[i].first();
+        }
+        if self.form.analytic_input {
+            let count = self.form.inputs.count();
+            x[count..count + 3].copy_from_slice(&Form::analytic_feature(analytic).to_array()[..3]);
         }
         let mut y = One::default();
-        self.network.forward_one(isa, &self.first_bias, &first, &mut y);
-        let mut f = [0.0; 3];
-        for c in 0..3 {
-            let [a, b] = [Vector::new(isa, y[c]), Vector::new(isa, y[c + 3])];
-            f[c] = self.form.composition.compose(a, b, analytic[c], self.bound).first();
-        }
-        Vec3::from_array(f)
+        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        let [a, b] = [Vector::load(isa, y.four_from::<0>()), Vector::load(isa, y.four_from::<3>())];
+        let f = self.form.composition.compose(a, b, analytic, self.bound).to_array();
+        Vec3::new(f[0], f[1], f[2])
     }
 }
 

@@ -7,7 +7,7 @@
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
-use crate::simd::Real;
+use crate::simd::{Lanes, Real, Vector};
 
 /// Smallest roughness: below it, the lobe is narrower than float32 half vectors resolve.
 pub const MIN_ALPHA: f32 = 1e-4;
@@ -69,11 +69,27 @@ impl Microfacet {
     pub fn eval_half<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 3] {
         let shape = self.shape(half, light, view);
         let cos_d = half.cos_d();
-        [
-            fresnel(cos_d, self.eta[0]).fma(shape, shape.splat(self.kd[0] * FRAC_1_PI)),
-            fresnel(cos_d, self.eta[1]).fma(shape, shape.splat(self.kd[1] * FRAC_1_PI)),
-            fresnel(cos_d, self.eta[2]).fma(shape, shape.splat(self.kd[2] * FRAC_1_PI)),
-        ]
+        let mut f = [shape; 3];
+        for c in 0..3 {
+            f[c] = fresnel(cos_d, shape.splat(self.eta[c])).fma(shape, shape.splat(self.kd[c] * FRAC_1_PI));
+        }
+        f
+    }
+
+    /// [`Microfacet::eval_half`] of one pair, which stands in every lane, with r, g and b in the lanes.
+    #[inline(always)]
+    #[must_use]
+    pub fn eval_one<I: Lanes<4>>(
+        &self,
+        isa: I,
+        half: &Half<Vector<I, 4>>,
+        light: [Vector<I, 4>; 3],
+        view: [Vector<I, 4>; 3],
+    ) -> Vector<I, 4> {
+        let shape = self.shape(half, light, view);
+        let ([eta_r, eta_g, eta_b], [kd_r, kd_g, kd_b]) = (self.eta, self.kd);
+        let kd = Vector::load(isa, &[kd_r, kd_g, kd_b, 0.0]);
+        fresnel(half.cos_d(), Vector::load(isa, &[eta_r, eta_g, eta_b, 1.0])).fma(shape, kd * FRAC_1_PI)
     }
 
     /// D G / (4 cosθ_l cosθ_v), which the colour channels share, in sr⁻¹.
@@ -172,14 +188,14 @@ pub fn masking_denominator<F: Real>(direction: [F; 3], alpha: [f32; 2]) -> F {
 /// keeps its relative accuracy where η is close to 1, and on a common denominator it takes one division.
 #[inline(always)]
 #[must_use]
-pub fn fresnel<F: Real>(cos: F, eta: f32) -> F {
+pub fn fresnel<F: Real>(cos: F, eta: F) -> F {
     // At η = 1 and cos = 0 the sum vanishes; any is right there, for 0 is what η = 1 has. At the next
     // float above 1 the sum is at least 4e-4.
     const LEAST_SUM: f32 = 1e-8;
     let excess = (eta - 1.0) * (eta + 1.0);
     let sum = ((cos * cos + excess).sqrt() + cos).max(cos.splat(LEAST_SUM));
     let divisor = cos * excess + sum;
-    let ratio = cos.splat(excess) / (sum * sum * divisor);
+    let ratio = excess / (sum * sum * divisor);
     let perpendicular = ratio * divisor;
     let parallel = ratio * ((cos * sum - 1.0) * sum);
     (perpendicular * perpendicular + parallel * parallel) * 0.5

@@ -173,20 +173,20 @@ impl PackedLayer {
         // As many sums at once as hide the latency of a multiply-add: of all rows, and of inputs that
         // are a few apart.
         match (self.stride, I::BATCH) {
-            (_, 4) => {
-                for row in (0..self.stride).step_by(ROW_BLOCK) {
-                    self.forward_vectors::<I, 4, 2, 4>(isa, bias, x, y, row, activation);
-                }
-            }
             (16, 32) => self.forward_vectors::<I, 16, 1, 8>(isa, bias, x, y, 0, activation),
-            (16, _) => self.forward_vectors::<I, 8, 2, 4>(isa, bias, x, y, 0, activation),
+            (16, 16) => self.forward_vectors::<I, 8, 2, 4>(isa, bias, x, y, 0, activation),
             (32, 32) => self.forward_vectors::<I, 16, 2, 4>(isa, bias, x, y, 0, activation),
-            (32, _) => self.forward_vectors::<I, 8, 4, 2>(isa, bias, x, y, 0, activation),
+            (32, 16) => self.forward_vectors::<I, 8, 4, 2>(isa, bias, x, y, 0, activation),
             (64, 32) => self.forward_vectors::<I, 16, 4, 2>(isa, bias, x, y, 0, activation),
-            (64, _) => self.forward_vectors::<I, 8, 8, 1>(isa, bias, x, y, 0, activation),
-            _ => {
+            (64, 16) => self.forward_vectors::<I, 8, 8, 1>(isa, bias, x, y, 0, activation),
+            (_, 16 | 32) => {
                 for row in (0..self.stride).step_by(ROW_BLOCK) {
                     self.forward_vectors::<I, 8, 1, 8>(isa, bias, x, y, row, activation);
+                }
+            }
+            _ => {
+                for row in (0..self.stride).step_by(ROW_BLOCK) {
+                    self.forward_vectors::<I, 4, 2, 4>(isa, bias, x, y, row, activation);
                 }
             }
         }
@@ -245,6 +245,15 @@ impl PackedLayer {
 /// The values of a layer for one sample.
 #[repr(align(64))]
 pub struct One([f32; MAX_WIDTH]);
+
+impl One {
+    /// The values from the `FIRST` on, as a register of four takes them.
+    #[inline(always)]
+    pub(crate) fn four_from<const FIRST: usize>(&self) -> &[f32; 4] {
+        const { assert!(FIRST + 4 <= MAX_WIDTH) };
+        self.0[FIRST..].first_chunk().expect("FIRST + 4 is at most MAX_WIDTH")
+    }
+}
 
 impl Default for One {
     #[inline(always)]
@@ -328,17 +337,19 @@ impl PackedLayer {
             sums[r] = bias.row(isa, row + r);
         }
         let (chunks, last) = x.as_chunks::<UNROLLED>();
-        let columns = &self.weights[..self.inputs * self.stride];
-        let mut blocks = columns.chunks_exact(UNROLLED * self.stride);
-        for (x, weights) in chunks.iter().zip(&mut blocks) {
+        // By its number and not by `chunks_exact`, which begins with a division.
+        let mut at = row;
+        for x in chunks {
             // One check for all weights of the block.
-            let weights = &weights[row..][..(UNROLLED - 1) * self.stride + ROWS];
+            let weights = &self.weights[at..][..(UNROLLED - 1) * self.stride + ROWS];
             for column in 0..UNROLLED {
                 add_column(isa, &weights[column * self.stride..], &x[column], &mut sums);
             }
+            at += UNROLLED * self.stride;
         }
-        for (x, weights) in last.iter().zip(blocks.remainder().chunks_exact(self.stride)) {
-            add_column(isa, &weights[row..], x, &mut sums);
+        for x in last {
+            add_column(isa, &self.weights[at..], x, &mut sums);
+            at += self.stride;
         }
         let rows = y.push::<ROWS>();
         for r in 0..ROWS {
