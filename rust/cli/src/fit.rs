@@ -111,7 +111,7 @@ pub struct Arguments {
 const NEURAL_RATE: f32 = 0.02;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ModelName {
+pub enum ModelName {
     /// The analytic BRDF alone: Lambert and GGX
     Ggx,
     /// The analytic BRDF, corrected by a network
@@ -120,6 +120,17 @@ enum ModelName {
     Neural,
     /// Tables over single angles; no network and no gradients
     Factor,
+}
+
+impl ModelName {
+    /// Whether it has a network whose size can be chosen.
+    #[must_use]
+    pub fn has_network(self) -> bool {
+        match self {
+            ModelName::Hybrid | ModelName::Neural => true,
+            ModelName::Ggx | ModelName::Factor => false,
+        }
+    }
 }
 
 /// A size of a network as the command line spells it.

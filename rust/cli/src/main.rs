@@ -13,6 +13,7 @@ mod fitting;
 mod info;
 mod inputs;
 mod output;
+mod report;
 mod sample;
 mod simulated;
 
@@ -48,6 +49,7 @@ enum Command {
     Convert(convert::Arguments),
     Compare(compare::Arguments),
     Check(check::Arguments),
+    Report(report::Arguments),
 }
 
 /// Arguments that fit the syntax but make no sense together.
@@ -89,6 +91,7 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Check(arguments) => check::run(&arguments),
+        Command::Report(arguments) => report::run(&arguments),
     }
 }
 

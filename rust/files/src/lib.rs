@@ -21,4 +21,4 @@ mod source;
 pub use error::Error;
 pub use npy::Array;
 pub use samples::Samples;
-pub use source::{Source, sha256};
+pub use source::{Source, sha256, sha256_of};

@@ -163,8 +163,13 @@ pub(crate) fn file_name(path: &Path) -> String {
 /// # Errors
 /// [`Error::Read`].
 pub fn sha256(path: &Path) -> Result<String, Error> {
-    let bytes = std::fs::read(path).map_err(Error::read(path))?;
-    Ok(Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(sha256_of(&std::fs::read(path).map_err(Error::read(path))?))
+}
+
+/// SHA-256 of some bytes, in hexadecimal.
+#[must_use]
+pub fn sha256_of(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

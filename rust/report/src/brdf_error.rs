@@ -7,6 +7,9 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+/// Angle to the normal beyond which a direction is grazing: a fifteenth of cosine-distributed directions.
+pub const GRAZING_DEGREES: f32 = 75.0;
+
 /// Pairs of directions to measure on, both cosine-distributed.
 #[derive(Clone, Debug)]
 pub struct Protocol {
@@ -33,6 +36,30 @@ impl Protocol {
     #[must_use]
     pub fn seeded(seed: u64, pairs: usize) -> Self {
         Protocol::draw(Pcg64::seed_from_u64(seed), pairs)
+    }
+
+    /// The pairs with light and view exchanged.
+    #[must_use]
+    pub fn exchanged(&self) -> Self {
+        Protocol { light: self.view.clone(), view: self.light.clone() }
+    }
+
+    /// The pairs with either direction more than [`GRAZING_DEGREES`] from the normal, and the others.
+    #[must_use]
+    pub fn by_elevation(&self) -> [Self; 2] {
+        let least = GRAZING_DEGREES.to_radians().cos();
+        let pairs = self.light.iter().copied().zip(self.view.iter().copied());
+        let (grazing, rest): (Vec<_>, Vec<_>) = pairs.partition(|(light, view)| light.z.min(view.z) < least);
+        [grazing, rest].map(|pairs| {
+            let (light, view) = pairs.into_iter().unzip();
+            Protocol { light, view }
+        })
+    }
+
+    /// How many pairs there are.
+    #[must_use]
+    pub fn pairs(&self) -> usize {
+        self.light.len()
     }
 
     fn draw(mut rng: Pcg64, pairs: usize) -> Self {
@@ -97,6 +124,21 @@ impl BrdfError {
         let mut values = vec![Vec3::ZERO; light.len()];
         model.eval_batch(light, view, &mut values);
         BrdfError::of_sums(&[sum_errors(light, f, &values)], light.len())
+    }
+
+    /// The error over two sets of pairs together, of which `counts` says the sizes.
+    #[must_use]
+    pub fn over_both(errors: [Self; 2], counts: [usize; 2]) -> Self {
+        let total = (counts[0] + counts[1]).max(1) as f64;
+        let [a, b] = errors;
+        let mean = |a: f64, b: f64| (a * counts[0] as f64 + b * counts[1] as f64) / total;
+        BrdfError {
+            smape: mean(a.smape, b.smape),
+            log_mae: mean(a.log_mae, b.log_mae),
+            log_mse: mean(a.log_mse, b.log_mse),
+            mae: mean(a.mae, b.mae),
+            rmse: mean(a.rmse * a.rmse, b.rmse * b.rmse).sqrt(),
+        }
     }
 
     fn of_sums(sums: &[[f64; 5]], pairs: usize) -> Self {
@@ -175,6 +217,23 @@ mod tests {
         // E[ln((1+3c)/(1+c))] with density 2c: ∫ 2c (ln(1+3c) − ln(1+c)) dc.
         assert!((error.log_mae - 0.565_595).abs() < 3e-3, "{}", error.log_mae);
         assert!(error.log_mse > error.log_mae * error.log_mae);
+    }
+
+    #[test]
+    fn grazing_pairs_and_the_others_are_all_pairs() {
+        let protocol = Protocol::seeded(3, 100_000);
+        let parts = protocol.by_elevation();
+        let counts = parts.each_ref().map(Protocol::pairs);
+        // Either of two directions: 1 − (1 − cos² 75°)².
+        assert!((counts[0] as f64 / 1e5 - 0.129_5).abs() < 4e-3, "{counts:?}");
+        let (truth, model) = (Constant(1.0), Constant(3.0));
+        let errors = parts.each_ref().map(|part| BrdfError::measure(&truth, &model, part));
+        assert!(errors[0].mae < errors[1].mae);
+        let whole = BrdfError::measure(&truth, &model, &protocol);
+        let both = BrdfError::over_both(errors, counts);
+        for (a, b) in [(whole.mae, both.mae), (whole.rmse, both.rmse), (whole.smape, both.smape)] {
+            assert!((a - b).abs() < 1e-9, "{whole:?} {both:?}");
+        }
     }
 
     #[test]

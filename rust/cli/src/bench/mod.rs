@@ -1,10 +1,10 @@
 //! `glimt bench`: how fast this machine evaluates, samples and fits, against the limit of its
 //! multiply-adds.
 
-mod cases;
-mod report;
+pub mod cases;
+pub mod report;
 mod training;
-mod ways;
+pub mod ways;
 
 use std::hint::black_box;
 use std::path::PathBuf;

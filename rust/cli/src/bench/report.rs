@@ -60,7 +60,7 @@ impl Measurement {
 }
 
 /// By linear interpolation between the two nearest.
-fn quantile(values: &[f64], q: f64) -> f64 {
+pub fn quantile(values: &[f64], q: f64) -> f64 {
     let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
     let position = q * (values.len() - 1) as f64;
@@ -118,14 +118,14 @@ fn number(ns: f64) -> String {
 }
 
 /// The processor's name, where the system tells it.
-fn cpu() -> String {
+pub fn cpu() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
     name.map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, name)| name.trim().to_owned())
 }
 
 /// The date in UTC.
-fn today() -> String {
+pub fn today() -> String {
     let seconds = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |time| time.as_secs());
     let [year, month, day] = civil(seconds / 86_400);
     format!("{year}-{month:02}-{day:02}")

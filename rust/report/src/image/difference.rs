@@ -1,6 +1,6 @@
 //! Differences of images by pixel (MAE, RMSE, PSNR) and by neighbourhood (SSIM).
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::exposure::{automatic, shown};
 use glimt_image::{Rgb, Rows};
@@ -20,6 +20,7 @@ pub struct Difference {
     /// Mean of the truth, to hold the others against.
     pub mean: f64,
     /// Peak signal to noise ratio in dB, of the images as shown; infinite where they are equal.
+    #[serde(deserialize_with = "infinite_if_null")]
     pub psnr: f64,
     /// Structural similarity (Wang et al. 2004) of the images as shown, mean over channels; 1 where they are equal.
     pub ssim: f64,
@@ -27,6 +28,11 @@ pub struct Difference {
     pub exposure: f32,
     /// Pixels that are not finite in either image; they count nowhere else.
     pub not_finite: usize,
+}
+
+/// JSON has no infinity: it writes `null`.
+fn infinite_if_null<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::INFINITY))
 }
 
 impl Difference {

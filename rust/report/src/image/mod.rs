@@ -83,6 +83,6 @@ fn for_each_band(
 }
 
 /// Relative luminance of linear sRGB (ITU-R BT.709).
-fn luminance([r, g, b]: Rgb) -> f32 {
+pub(crate) fn luminance([r, g, b]: Rgb) -> f32 {
     0.2126 * r + 0.7152 * g + 0.0722 * b
 }
