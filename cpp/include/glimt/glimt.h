@@ -89,6 +89,10 @@ typedef enum glimt_kind {
    * A published analytic model: Cook and Torrance, Ward, Ashikhmin and Shirley, Low, Bagher.
    */
   GLIMT_KIND_ANALYTIC = 6,
+  /**
+   * Features in tables on hemispheres and a network, as Dou et al.
+   */
+  GLIMT_KIND_SPHERICAL = 7,
 } glimt_kind;
 
 /**
@@ -206,8 +210,8 @@ const char *glimt_library_name(const struct glimt_library *library, size_t index
 
 /**
  * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
- * "nbrdf", "factor" or "analytic", and "tabulated" for a measurement; valid until the library is closed.
- * NULL for NULL.
+ * "nbrdf", "factor", "analytic" or "spherical", and "tabulated" for a measurement; valid until the library
+ * is closed. NULL for NULL.
  */
 const char *glimt_library_kind(const struct glimt_library *library);
 

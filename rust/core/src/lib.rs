@@ -6,6 +6,7 @@ pub mod error;
 pub mod factor;
 pub mod features;
 pub mod ggx;
+pub mod healpix;
 pub mod hybrid;
 pub mod kernel;
 pub mod library;
@@ -21,6 +22,7 @@ pub mod neural;
 pub mod sampler;
 pub mod simd;
 pub mod smith;
+pub mod spherical;
 pub mod table_sampler;
 pub mod tabulated;
 

@@ -19,6 +19,7 @@ use crate::network::Network;
 use crate::neural::Neural;
 use crate::sampler::{Sampler, SamplerChoice};
 use crate::simd::Lane3;
+use crate::spherical::Spherical;
 use crate::table_sampler::TableSampler;
 use crate::tabulated::Tabulated;
 
@@ -39,6 +40,8 @@ pub enum Material {
     Tabulated(Tabulated),
     /// See [`crate::analytic`].
     Analytic(Analytic),
+    /// See [`crate::spherical`].
+    Spherical(Spherical),
 }
 
 /// `$body` with `$model` bound to the [`Model`] that `$material` holds.
@@ -52,6 +55,7 @@ macro_rules! with_model {
             Material::Factor($model) => $body,
             Material::Tabulated($model) => $body,
             Material::Analytic($model) => $body,
+            Material::Spherical($model) => $body,
         }
     };
 }
@@ -75,7 +79,7 @@ macro_rules! variants {
         }
     )+};
 }
-variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated, Analytic);
+variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated, Analytic, Spherical);
 
 impl Material {
     /// See [`Model::KIND`].

@@ -25,6 +25,7 @@ mod ffi {
         Factor,
         Tabulated,
         Analytic,
+        Spherical,
     }
 
     /// What a network sees of two directions, see `features.rs` of the core.
@@ -251,6 +252,8 @@ impl Material {
             glimt_core::Material::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
             glimt_core::Material::Tabulated(_) => ffi::Model { kind: ffi::Kind::Tabulated, ..model },
             glimt_core::Material::Analytic(_) => ffi::Model { kind: ffi::Kind::Analytic, ..model },
+            // The lookup is not traced, so that what it needs does not cross.
+            glimt_core::Material::Spherical(_) => ffi::Model { kind: ffi::Kind::Spherical, ..model },
         }
     }
 
@@ -269,8 +272,8 @@ impl Material {
     }
 
     fn has_traced_form(&self) -> bool {
-        use glimt_core::Material::{Analytic, Factor, Tabulated};
-        !matches!(self.material, Factor(_) | Tabulated(_) | Analytic(_))
+        use glimt_core::Material::{Analytic, Factor, Spherical, Tabulated};
+        !matches!(self.material, Factor(_) | Tabulated(_) | Analytic(_) | Spherical(_))
     }
 
     fn has_lobes(&self) -> bool {

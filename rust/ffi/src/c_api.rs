@@ -56,6 +56,8 @@ pub enum glimt_kind {
     GLIMT_KIND_TABULATED = 5,
     /// A published analytic model: Cook and Torrance, Ward, Ashikhmin and Shirley, Low, Bagher.
     GLIMT_KIND_ANALYTIC = 6,
+    /// Features in tables on hemispheres and a network, as Dou et al.
+    GLIMT_KIND_SPHERICAL = 7,
 }
 use glimt_kind::*;
 
@@ -270,8 +272,8 @@ pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index
 }
 
 /// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
-/// "nbrdf", "factor" or "analytic", and "tabulated" for a measurement; valid until the library is closed.
-/// NULL for NULL.
+/// "nbrdf", "factor", "analytic" or "spherical", and "tabulated" for a measurement; valid until the library
+/// is closed. NULL for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
     // SAFETY: the caller's promise.
@@ -369,6 +371,7 @@ fn kind(material: &Material) -> glimt_kind {
         Material::Factor(_) => GLIMT_KIND_FACTOR,
         Material::Tabulated(_) => GLIMT_KIND_TABULATED,
         Material::Analytic(_) => GLIMT_KIND_ANALYTIC,
+        Material::Spherical(_) => GLIMT_KIND_SPHERICAL,
     }
 }
 

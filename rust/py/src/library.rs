@@ -35,7 +35,7 @@ impl Library {
         self.source.names()
     }
 
-    /// Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "factor", "analytic", "merl", "rgl" or "utia".
+    /// Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "factor", "analytic", "spherical", "merl", "rgl" or "utia".
     #[getter]
     fn kind(&self) -> &'static str {
         self.source.kind()

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use half::f16;
 use safetensors::tensor::{Dtype, SafeTensors};
 
 use crate::network::{Activation, Layer, Network};
@@ -26,6 +27,16 @@ impl Tensor {
     /// Numbers that all materials use.
     pub fn shared(name: &str, shape: Vec<usize>, data: &[f32]) -> Tensor {
         Tensor { shared: true, ..Tensor::own(name, shape, data) }
+    }
+
+    /// The same tensor, used by all materials or by each a part.
+    pub fn with_shared(self, shared: bool) -> Tensor {
+        Tensor { shared, ..self }
+    }
+
+    /// Numbers of another type than float32, of which each material has its own.
+    pub fn typed(name: &str, shape: Vec<usize>, dtype: Dtype, bytes: Vec<u8>) -> Tensor {
+        Tensor { name: name.to_owned(), shape, dtype, bytes, shared: false }
     }
 
     /// One row per material.
@@ -70,21 +81,39 @@ impl Tensors<'_> {
         self.file.tensor(name).is_ok()
     }
 
-    pub fn take(&self, name: &str) -> Result<Numbers, String> {
+    /// The bytes of a tensor whose numbers are of one of `types`, and its shape.
+    pub fn bytes(&self, name: &str, types: &[Dtype]) -> Result<(Dtype, Vec<usize>, &[u8]), String> {
         let view = self.file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
-        if view.dtype() != Dtype::F32 {
-            return Err(format!("the tensor \"{name}\" is {:?}, expected F32", view.dtype()));
+        if !types.contains(&view.dtype()) {
+            let expected: Vec<String> = types.iter().map(|t| format!("{t:?}")).collect();
+            return Err(format!(
+                "the tensor \"{name}\" is {:?}, expected {}",
+                view.dtype(),
+                expected.join(" or ")
+            ));
         }
+        Ok((view.dtype(), view.shape().to_vec(), view.data()))
+    }
+
+    pub fn take(&self, name: &str) -> Result<Numbers, String> {
+        self.floats(name, &[Dtype::F32])
+    }
+
+    /// A tensor of float32 or, where `types` has it, float16.
+    pub fn floats(&self, name: &str, types: &[Dtype]) -> Result<Numbers, String> {
+        let (dtype, shape, bytes) = self.bytes(name, types)?;
         // Copied float by float: the bytes in a file have no alignment to rely on.
-        let data: Vec<f32> =
-            view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let data: Vec<f32> = match dtype {
+            Dtype::F16 => bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b).to_f32()).collect(),
+            _ => bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect(),
+        };
         if let Some(at) = data.iter().position(|x| !x.is_finite()) {
             return Err(format!(
                 "the tensor \"{name}\" holds {} at index {at}, expected finite numbers",
                 data[at]
             ));
         }
-        Ok(Numbers { name: name.to_owned(), shape: view.shape().to_vec(), data })
+        Ok(Numbers { name: name.to_owned(), shape, data })
     }
 
     /// A tensor with a row of `width` numbers per material.

@@ -17,6 +17,8 @@
 //! | `azimuth` | (materials, 3, 180) | factor, naive |
 //! | `bivariate` | (materials, 90, 90, 3) | factor, bivariate |
 //! | `diffuse`, `specular` | (materials, 3), (materials, parameters of the lobe) | analytic |
+//!
+//! What a spherical library holds says [`spherical`].
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -35,6 +37,7 @@ use crate::model::Model;
 use crate::nbrdf::Nbrdf;
 use crate::network::Network;
 use crate::neural::Neural;
+use crate::spherical::Spherical;
 
 use codec::Codec;
 use container::{Tensor, Tensors};
@@ -43,6 +46,7 @@ mod codec;
 mod container;
 mod factor;
 mod names;
+mod spherical;
 mod write;
 
 pub use names::nearest;
@@ -367,9 +371,10 @@ fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, St
         Nbrdf::KIND => decode::<Nbrdf>(header, file),
         Factor::KIND => decode::<Factor>(header, file),
         Analytic::KIND => decode::<Analytic>(header, file),
-        other => {
-            Err(format!("its model is \"{other}\", expected ggx, hybrid, neural, nbrdf, factor or analytic"))
-        }
+        Spherical::KIND => decode::<Spherical>(header, file),
+        other => Err(format!(
+            "its model is \"{other}\", expected ggx, hybrid, neural, nbrdf, factor, analytic or spherical"
+        )),
     }
 }
 

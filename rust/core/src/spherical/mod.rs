@@ -1,0 +1,319 @@
+//! `spherical`: Dou, Zheng, Jin, Ni, Chen, Ke, *Real-Time Neural BRDF with Spherically Distributed
+//! Primitives*.
+//!
+//! f = m(ψ(l, v)): features are looked up in tables on hemispheres, interpolated, concatenated (eq. 1),
+//! and decoded by a small network m (eq. 2). Features are kept as they are, or as indices into a codebook
+//! of neural reflectance primitives (eq. 3), which several materials may share with the network (§3.3).
+//!
+//! The paper's tables are a hemisphere of lights and one of views. [`tables::Grids`] has others that come
+//! far nearer to the same measurements at the same size, and [`tables::Interpolation`] one that is
+//! continuous where the paper's run time is not.
+//!
+//! The network yields y with f = 0.003 (eʸ − 1), so that it works on a scale on which dark values and
+//! lobes are both of the order of 1. y is limited to a little more than the fit saw.
+
+pub mod pixelation;
+pub mod store;
+pub mod tables;
+
+use std::sync::Arc;
+
+use glam::Vec3;
+
+use crate::brdf::{Brdf, check_lengths, is_lit, mask_unlit};
+use crate::dispatch;
+use crate::lobes::{Lobes, PROXY_ALPHAS};
+use crate::math::exp;
+use crate::model::Model;
+use crate::network::{Network, One, Rows};
+use crate::sampler::Sampler;
+use crate::simd::{LANES, Lane, Lane3, Real, Vector};
+use store::Store;
+use tables::{Grids, Layout, MAX_TABLES, Taps};
+
+/// Where f turns from linear to exponential in the network's output.
+pub const OUTPUT_SCALE: f32 = 0.003;
+
+/// Largest bound of the network's output: f is then far above any measured lobe, and its square finite.
+pub const MAX_BOUND: f32 = 30.0;
+
+/// f of one channel from the network's output.
+#[inline(always)]
+#[must_use]
+pub fn from_output<F: Real>(y: F, bound: f32) -> F {
+    ((exp(y.at_most(bound)) - 1.0) * OUTPUT_SCALE).max(y.splat(0.0))
+}
+
+/// The features of one material.
+#[derive(Clone, Debug)]
+pub struct Features {
+    /// What is kept.
+    pub store: Store,
+    /// The kept row that each row of the layout takes its features from, where some were pruned; otherwise
+    /// every row has its own.
+    pub links: Option<Vec<u32>>,
+}
+
+impl Features {
+    /// The table that each kept row belongs to.
+    ///
+    /// # Errors
+    /// In words, that links point nowhere, from two tables to one row, or that a row is kept for nothing.
+    fn tables(&self, layout: &Layout) -> Result<Vec<usize>, String> {
+        let places = layout.places();
+        let kept = self.store.rows(layout.form().features.into());
+        let Some(links) = &self.links else {
+            return if kept == places.len() {
+                Ok(places.iter().map(|&(table, _)| table).collect())
+            } else {
+                Err(format!("it keeps {kept} rows of features, expected {}", places.len()))
+            };
+        };
+        if links.len() != places.len() {
+            return Err(format!("it links {} rows, expected {}", links.len(), places.len()));
+        }
+        let mut tables = vec![None; kept];
+        for (&link, &(table, _)) in links.iter().zip(places) {
+            let known = tables.get_mut(link as usize).ok_or_else(|| {
+                format!("a row is linked to the kept row {link}, expected less than {kept}")
+            })?;
+            if *known.get_or_insert(table) != table {
+                return Err(format!("rows of two tables are linked to the kept row {link}"));
+            }
+        }
+        let unused = |row| format!("nothing is linked to the kept row {row}");
+        tables.iter().enumerate().map(|(row, table)| table.ok_or_else(|| unused(row))).collect()
+    }
+}
+
+/// One material of the spherical model.
+#[derive(Clone, Debug)]
+pub struct Spherical {
+    layout: Arc<Layout>,
+    network: Arc<Network>,
+    features: Features,
+    bound: f32,
+    /// What can be pointed to, [entry][k], …
+    values: Vec<f32>,
+    /// … and the entry of every point.
+    entries: Vec<u32>,
+    first_bias: Vec<Lane>,
+    sampler: Sampler,
+}
+
+impl Spherical {
+    /// A material; `bound` is the largest network output that the fit saw.
+    ///
+    /// # Errors
+    /// In words, if tables, features and network do not fit together.
+    pub fn new(
+        layout: Arc<Layout>,
+        network: Arc<Network>,
+        features: Features,
+        bound: f32,
+    ) -> Result<Self, String> {
+        let k = usize::from(layout.form().features);
+        if network.features() != layout.form().inputs() || network.latent() != 0 || network.outputs() != 3 {
+            return Err(format!(
+                "the network maps {} features to {} values, expected {} to 3",
+                network.layers()[0].inputs(),
+                network.outputs(),
+                layout.form().inputs()
+            ));
+        }
+        if bound > MAX_BOUND || !bound.is_finite() {
+            return Err(format!("the bound of the output is {bound}, expected at most {MAX_BOUND}"));
+        }
+        let (values, of_row) = features.store.decode(k, &features.tables(&layout)?);
+        if !values.iter().all(|x| x.is_finite()) {
+            return Err("its features are not finite".into());
+        }
+        if let Some(entry) = of_row.iter().find(|&&entry| entry as usize >= values.len() / k) {
+            let found = values.len() / k;
+            return Err(format!("an index is {entry}, but the codebook has {found} primitives"));
+        }
+        let kept = |row: u32| features.links.as_ref().map_or(row, |links| links[row as usize]);
+        let entries = layout.rows().iter().map(|&row| of_row[kept(row) as usize]).collect();
+        let first_bias = network.fold(&[]);
+        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
+        let mut material = Spherical {
+            layout,
+            network,
+            features,
+            bound,
+            values,
+            entries,
+            first_bias,
+            sampler: lobes.into(),
+        };
+        material.sampler = Lobes::fit(&material, &PROXY_ALPHAS).into();
+        Ok(material)
+    }
+
+    /// The tables.
+    #[must_use]
+    pub fn layout(&self) -> &Arc<Layout> {
+        &self.layout
+    }
+
+    /// The decoder m.
+    #[must_use]
+    pub fn network(&self) -> &Arc<Network> {
+        &self.network
+    }
+
+    /// The features as they are kept.
+    #[must_use]
+    pub fn features(&self) -> &Features {
+        &self.features
+    }
+
+    /// The largest output that counts.
+    #[must_use]
+    pub fn bound(&self) -> f32 {
+        self.bound
+    }
+
+    /// ψ of pairs of directions, `x[feature][lane]`.
+    #[inline(always)]
+    fn encode<const N: usize>(&self, light: &[[f32; N]; 3], view: &[[f32; N]; 3], x: &mut [[f32; N]]) {
+        let mut taps = [Taps::EMPTY; MAX_TABLES];
+        self.layout.taps(light, view, &mut taps);
+        match self.layout.form().features {
+            4 => self.gather::<N, 4>(&taps, x),
+            8 => self.gather::<N, 8>(&taps, x),
+            _ => self.gather::<N, 16>(&taps, x),
+        }
+    }
+
+    #[inline(always)]
+    fn gather<const N: usize, const K: usize>(&self, taps: &[Taps<N>; MAX_TABLES], x: &mut [[f32; N]]) {
+        let (values, _) = self.values.as_chunks::<K>();
+        let tables = self.layout.form().grids.tables();
+        for (table, x) in x[..tables * K].chunks_exact_mut(K).enumerate() {
+            let taps = &taps[table];
+            let count = self.layout.tap_count(table);
+            for lane in 0..N {
+                let mut sum = [0.0; K];
+                for tap in 0..count {
+                    let row = &values[self.entries[taps.points[tap][lane] as usize] as usize];
+                    let weight = taps.weights[tap][lane];
+                    for j in 0..K {
+                        sum[j] += weight * row[j];
+                    }
+                }
+                for j in 0..K {
+                    x[j][lane] = sum[j];
+                }
+            }
+        }
+    }
+}
+
+/// Most features that a network sees.
+const MAX_INPUTS: usize = MAX_TABLES * 16;
+
+impl Model for Spherical {
+    const KIND: &'static str = "spherical";
+
+    /// A proxy that was fitted to the model.
+    fn sampler(&self) -> &Sampler {
+        &self.sampler
+    }
+
+    fn set_sampler(&mut self, sampler: Sampler) {
+        self.sampler = sampler;
+    }
+
+    fn is_isotropic(&self) -> bool {
+        self.layout.form().grids == Grids::Iso
+    }
+
+    fn network(&self) -> Option<&Network> {
+        Some(&self.network)
+    }
+}
+
+impl Brdf for Spherical {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        let mut f = Vec3::ZERO;
+        if is_lit(light, view) {
+            eval_one(self, light, view, &mut f);
+        }
+        f
+    }
+
+    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        eval_tile(self, light, view, out);
+        mask_unlit(light, view, out);
+    }
+
+    fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        check_lengths(&light, &view, &out);
+        let n = out[0].len();
+        for start in (0..n).step_by(LANES) {
+            let end = n.min(start + LANES);
+            // Lanes beyond the end stay 0: below the horizon.
+            let mut sides = [[[0.0; LANES]; 3]; 2];
+            for c in 0..3 {
+                sides[0][c][..end - start].copy_from_slice(&light[c][start..end]);
+                sides[1][c][..end - start].copy_from_slice(&view[c][start..end]);
+            }
+            let mut f = [[0.0; LANES]; 3];
+            self.eval_tile(&sides[0], &sides[1], &mut f);
+            for c in 0..3 {
+                out[c][start..end].copy_from_slice(&f[c][..end - start]);
+            }
+        }
+    }
+}
+
+dispatch! {
+    fn eval_one(isa, material: &Spherical, light: Vec3, view: Vec3, f: &mut Vec3) {
+        let mut x = [[0.0; 1]; MAX_INPUTS];
+        material.encode(&light.to_array().map(|x| [x]), &view.to_array().map(|x| [x]), &mut x);
+        let mut y = One::default();
+        material.network.forward_one(isa, &material.first_bias, x.as_flattened(), &mut y);
+        let y = Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0]);
+        let [red, green, blue, _] = from_output(y, material.bound).to_array();
+        *f = Vec3::new(red, green, blue);
+    }
+}
+
+dispatch! {
+    fn eval_tile(isa, material: &Spherical, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        let mut x = [[0.0; LANES]; MAX_INPUTS];
+        material.encode(light, view, &mut x);
+        let mut y = Rows::default();
+        material.network.forward_tile(isa, material.first_bias.as_flattened(), &x, &mut y);
+        for (f, y) in out.iter_mut().zip(&*y) {
+            from_output(Vector::<I, LANES>::load(isa, y), material.bound).store(f);
+        }
+    }
+}
+
+/// The same model in float64, by the definitions. What tests compare against.
+pub mod reference {
+    use super::{OUTPUT_SCALE, Spherical, tables};
+    use crate::network;
+    use glam::DVec3;
+
+    /// f for directions above the horizon.
+    #[must_use]
+    pub fn eval(material: &Spherical, light: DVec3, view: DVec3) -> [f64; 3] {
+        let k = usize::from(material.layout.form().features);
+        let feature = |taps: &[(usize, f64)], j: usize| -> f64 {
+            let value = |point: usize| f64::from(material.values[material.entries[point] as usize * k + j]);
+            taps.iter().map(|&(point, weight)| weight * value(point)).sum()
+        };
+        let taps = tables::reference::taps(&material.layout, light, view);
+        let x: Vec<f64> = taps.iter().flat_map(|taps| (0..k).map(|j| feature(taps, j))).collect();
+        let y = network::reference::forward(&material.network, &x, &[]);
+        std::array::from_fn(|c| {
+            (f64::from(OUTPUT_SCALE) * (y[c].min(material.bound.into()).exp() - 1.0)).max(0.0)
+        })
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;
