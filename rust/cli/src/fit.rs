@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use glimt_core::Library;
-use glimt_core::factor::{Interpolation, Variant};
+use glimt_core::factor::Variant;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Origin};
 use glimt_fit::checkpoint::Checkpoint;
@@ -24,7 +24,7 @@ use serde::de::value::{Error as ValueError, StrDeserializer};
 
 use crate::fitting::{self, Watch};
 use crate::simulated::Simulated;
-use crate::{Usage, inputs, output};
+use crate::{Usage, inputs, output, spherical};
 
 /// Fit one model library to measurements
 ///
@@ -77,9 +77,11 @@ pub struct Arguments {
     /// Which factors: independent-g, g-from-d, naive or bivariate (factor) [default: independent-g]
     #[arg(long, value_name = "VARIANT", value_parser = parse_variant::<Variant>)]
     variant: Option<Variant>,
-    /// How tables answer between their bins: nearest, as in the paper, or linear (factor) [default: linear]
-    #[arg(long, value_name = "INTERPOLATION", value_parser = parse_variant::<Interpolation>)]
-    interpolation: Option<Interpolation>,
+    /// How tables answer between their bins: nearest, as in the paper, or linear (factor) [default: linear]; or how
+    /// the corners of a pixel are weighted: bilinear, or as in the paper's training inverse-distance, or as at its run
+    /// time constant (spherical) [default: bilinear]
+    #[arg(long, value_name = "INTERPOLATION")]
+    interpolation: Option<String>,
     /// Show the analytic value to the network (hybrid)
     #[arg(long)]
     analytic_input: bool,
@@ -90,15 +92,17 @@ pub struct Arguments {
     /// are isotropic, and Mitsuba tells; the other formats do, too
     #[arg(long)]
     anisotropic: bool,
-    /// Steps of the optimiser (hybrid and neural; the analytic part always takes its own 1,500)
+    /// Steps of the optimiser (of each cluster for spherical; the analytic part always takes its own 1,500)
     #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u64).range(1..))]
     steps: u64,
     /// Seed of all random numbers
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
-    /// Learning rate at the start [default: 0.01; 0.02 for neural; 0.005 with --paper]
+    /// Learning rate at the start [default: 0.01; 0.02 for neural and spherical; 0.005 with --paper]
     #[arg(long, value_name = "RATE")]
     rate: Option<f32>,
+    #[command(flatten)]
+    spherical: spherical::Arguments,
     /// Go on from the checkpoint of an interrupted fit
     #[arg(long)]
     resume: bool,
@@ -110,6 +114,9 @@ pub struct Arguments {
 /// Learning rate at which the network-only model ends best on the RGL materials.
 const NEURAL_RATE: f32 = 0.02;
 
+/// Learning rate of the spherical model; on three RGL materials 0.01 and 0.04 ended worse.
+const SPHERICAL_RATE: f32 = 0.02;
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ModelName {
     /// The analytic BRDF alone: Lambert and GGX
@@ -120,6 +127,9 @@ pub enum ModelName {
     Neural,
     /// Tables over single angles; no network and no gradients
     Factor,
+    /// Features in tables on hemispheres, decoded by a small network: tens of kilobytes a material, near the
+    /// measurement's own noise
+    Spherical,
 }
 
 impl ModelName {
@@ -127,7 +137,7 @@ impl ModelName {
     #[must_use]
     pub fn has_network(self) -> bool {
         match self {
-            ModelName::Hybrid | ModelName::Neural => true,
+            ModelName::Hybrid | ModelName::Neural | ModelName::Spherical => true,
             ModelName::Ggx | ModelName::Factor => false,
         }
     }
@@ -146,37 +156,68 @@ pub fn parse_net(text: &str) -> Result<Net, String> {
 }
 
 /// A variant as library files spell it.
-fn parse_variant<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+pub(crate) fn parse_variant<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     T::deserialize(StrDeserializer::<ValueError>::new(text)).map_err(|error| error.to_string())
 }
 
 impl Arguments {
-    fn options(&self) -> Result<Options, Usage> {
-        self.refuse(&self.factor_only())?;
-        let model = match self.model {
-            ModelName::Factor => unreachable!("factor tables have options of their own"),
-            ModelName::Ggx => {
-                self.refuse(&self.hybrid_only())?;
-                self.refuse(&[
-                    ("--net", self.net.is_some()),
-                    ("--latent", self.latent.is_some()),
-                    ("--rate", self.rate.is_some()),
-                    ("--resume", self.resume),
-                ])?;
-                Model::Ggx(if self.paper { Loss::PAPER } else { DEFAULT_ANALYTIC_LOSS })
+    /// Refuses options that mean nothing for the model.
+    fn check(&self) -> Result<(), Usage> {
+        if self.model != ModelName::Hybrid {
+            self.refuse(&self.hybrid_only())?;
+        }
+        if self.model != ModelName::Spherical {
+            self.refuse(&self.spherical.given())?;
+        }
+        if self.model != ModelName::Factor {
+            self.refuse(&[("--variant", self.variant.is_some())])?;
+        }
+        if !matches!(self.model, ModelName::Factor | ModelName::Spherical) {
+            self.refuse(&[("--interpolation", self.interpolation.is_some())])?;
+        }
+        let gradients = [
+            ("--net", self.net.is_some()),
+            ("--latent", self.latent.is_some()),
+            ("--rate", self.rate.is_some()),
+            ("--resume", self.resume),
+        ];
+        match self.model {
+            ModelName::Hybrid | ModelName::Neural => Ok(()),
+            ModelName::Ggx => self.refuse(&gradients),
+            ModelName::Factor => {
+                self.refuse(&gradients)?;
+                self.refuse(&[("--paper", self.paper), ("--anisotropic", self.anisotropic)])
             }
+            ModelName::Spherical => {
+                self.refuse(&[("--latent", self.latent.is_some()), ("--paper", self.paper)])
+            }
+        }
+    }
+
+    /// What to fit to `inputs`, and what there is to say about that.
+    fn options(&self, inputs: &[Input]) -> Result<(Options, Option<String>), Usage> {
+        let mut note = None;
+        let model = match self.model {
+            ModelName::Ggx => Model::Ggx(if self.paper { Loss::PAPER } else { DEFAULT_ANALYTIC_LOSS }),
             ModelName::Hybrid => Model::Hybrid(self.hybrid()),
-            ModelName::Neural => {
-                self.refuse(&self.hybrid_only())?;
-                Model::Neural(self.neural())
+            ModelName::Neural => Model::Neural(self.neural()),
+            ModelName::Factor => unreachable!("factor tables have options of their own"),
+            ModelName::Spherical => {
+                let (options, why) =
+                    self.spherical.options(self.net, self.interpolation()?, inputs).map_err(Usage)?;
+                note = Some(why);
+                Model::Spherical(options)
             }
         };
         let schedule = if self.paper { Schedule::paper } else { Schedule::standard };
         let mut schedule = schedule(self.steps, self.seed);
-        if self.model == ModelName::Neural && !self.paper {
-            schedule.rate = NEURAL_RATE;
+        match self.model {
+            ModelName::Neural if !self.paper => schedule.rate = NEURAL_RATE,
+            ModelName::Spherical => schedule.rate = SPHERICAL_RATE,
+            _ => {}
         }
-        Ok(Options { model, schedule: Schedule { rate: self.rate.unwrap_or(schedule.rate), ..schedule } })
+        let schedule = Schedule { rate: self.rate.unwrap_or(schedule.rate), ..schedule };
+        Ok((Options { model, schedule }, note))
     }
 
     fn hybrid(&self) -> HybridOptions {
@@ -223,26 +264,18 @@ impl Arguments {
         ]
     }
 
-    /// Options that mean something for tables only.
-    fn factor_only(&self) -> [(&'static str, bool); 2] {
-        [("--variant", self.variant.is_some()), ("--interpolation", self.interpolation.is_some())]
-    }
-
     fn factor(&self) -> Result<FactorOptions, Usage> {
-        self.refuse(&self.hybrid_only())?;
-        self.refuse(&[
-            ("--net", self.net.is_some()),
-            ("--latent", self.latent.is_some()),
-            ("--rate", self.rate.is_some()),
-            ("--resume", self.resume),
-            ("--paper", self.paper),
-            ("--anisotropic", self.anisotropic),
-        ])?;
         Ok(FactorOptions {
             variant: self.variant.unwrap_or(Variant::IndependentG),
-            interpolation: self.interpolation.unwrap_or_default(),
+            interpolation: self.interpolation()?,
             seed: self.seed,
         })
+    }
+
+    /// The model's own kind of interpolation.
+    fn interpolation<T: DeserializeOwned + Default>(&self) -> Result<T, Usage> {
+        let parse = |text: &String| parse_variant(text).map_err(|e| Usage(format!("--interpolation: {e}")));
+        self.interpolation.as_ref().map_or_else(|| Ok(T::default()), parse)
     }
 
     fn refuse(&self, options: &[(&str, bool)]) -> Result<(), Usage> {
@@ -257,10 +290,10 @@ impl Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
+    arguments.check()?;
     if arguments.model == ModelName::Factor {
         return run_factor(arguments, &arguments.factor()?);
     }
-    let options = arguments.options()?;
     let path = &arguments.output;
     output::check_writable(path)?;
     let checkpoint_path = checkpoint_path(path);
@@ -280,6 +313,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         Some(failure) => bail!("{failure}"),
         None => Ok(()),
     };
+    let (options, note) = arguments.options(&inputs)?;
 
     for doubt in doubts(&inputs) {
         eprintln!("warning: {doubt}");
@@ -314,6 +348,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     if arguments.resume || keeper.kept {
         // The library is written, so that a checkpoint which stays does no harm.
         let _ = std::fs::remove_file(&checkpoint_path);
+    }
+    if !arguments.json {
+        output::print(&spherical::notes(note, &entries))?;
     }
     fitting::print_errors(path, &entries, arguments.json)
 }

@@ -16,6 +16,7 @@ mod output;
 mod report;
 mod sample;
 mod simulated;
+mod spherical;
 
 use std::process::ExitCode;
 

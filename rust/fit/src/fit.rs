@@ -25,6 +25,7 @@ use crate::neural::NeuralObjective;
 use crate::objective::Objective;
 use crate::options::{Model, Options, Recipe};
 use crate::pairs::{self, Drawing, PairBlock, TargetBlock};
+use crate::spherical::stages::{SphericalEnd, fit_spherical};
 use crate::train::{End, MAX_BLOCKS, Progress, Schedule, State, train};
 use crate::truth::Truth;
 
@@ -129,11 +130,15 @@ pub fn fit(
             }
             neural_materials(&objective, &truths, &state.numbers, schedule)
         }
+        Model::Spherical(spherical) => match fit_spherical(spherical, &truths, schedule, resumed, watch)? {
+            SphericalEnd::Stopped(state) => return stopped(Some(state)),
+            SphericalEnd::Done(made) => Ok(made.into_iter().map(Material::Spherical).collect()),
+        },
     };
     let materials: Vec<Material> = made.map_err(|_| Error::Diverged { step: schedule.steps })?;
     let recipe = match &options.model {
         Model::Hybrid(hybrid) => Some(to_json(&hybrid.recipe())),
-        Model::Ggx(_) | Model::Neural(_) => None,
+        Model::Ggx(_) | Model::Neural(_) | Model::Spherical(_) => None,
     };
     let entries = inputs.iter().zip(materials).map(|(input, material)| {
         let origin = Origin {
@@ -217,6 +222,10 @@ fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
         Model::Ggx(_) => None,
         Model::Hybrid(hybrid) => Some((hybrid.net, hybrid.latent)),
         Model::Neural(neural) => Some((neural.net, neural.latent)),
+        Model::Spherical(spherical) => {
+            spherical.check(inputs).map_err(Error::Options)?;
+            Some((spherical.net, 0))
+        }
     };
     if let Some((net, latent)) = net {
         if !net.is_supported() {
@@ -233,7 +242,7 @@ fn check(inputs: &[Input], options: &Options) -> Result<(), Error> {
         }
     }
     let needs_code = match &options.model {
-        Model::Ggx(_) => false,
+        Model::Ggx(_) | Model::Spherical(_) => false,
         Model::Hybrid(hybrid) => hybrid.sharing == Sharing::Library && inputs.len() > 1,
         Model::Neural(_) => true,
     };
@@ -321,7 +330,7 @@ pub(crate) fn best_of<O: Objective>(
 }
 
 /// Blocks of fresh pairs on which candidates are compared and bounds are taken.
-const JUDGE_BLOCKS: usize = 64;
+pub(crate) const JUDGE_BLOCKS: usize = 64;
 
 /// Fresh pairs, or all samples in a random order.
 pub(crate) struct Judge {
@@ -334,7 +343,7 @@ impl Judge {
         Judge { seed: !seed, drawn: pairs::draw(drawing, !seed, 0, blocks) }
     }
 
-    fn look(&self, truth: Truth) -> (Cow<'_, [PairBlock]>, Vec<TargetBlock>) {
+    pub fn look(&self, truth: Truth) -> (Cow<'_, [PairBlock]>, Vec<TargetBlock>) {
         truth.look(&self.drawn, self.seed, 0)
     }
 }
@@ -402,7 +411,7 @@ fn random_network(objective: &HybridObjective, rng: &mut Pcg64) -> Vec<f32> {
 }
 
 /// Room above the largest residual that the fit saw, for pairs between those it saw.
-const BOUND_MARGIN: f32 = 0.1;
+pub(crate) const BOUND_MARGIN: f32 = 0.1;
 
 pub(crate) fn hybrid_materials(
     objective: &HybridObjective,

@@ -1,7 +1,7 @@
 //! Fitting glimt's models to measured or simulated reflectance.
 //!
 //! [`fit()`] makes a library of materials, [`add()`] adds some to one. Below them, in reading order:
-//! [`options`], [`train`] (the loop), [`objective`] with [`ggx`], [`hybrid`] and [`neural`] (the models
+//! [`options`], [`train`] (the loop), [`objective`] with [`ggx`], [`hybrid`], [`neural`] and [`spherical`] (the models
 //! as functions of numbers, with hand-written gradients), [`backprop`], [`analytic`], [`truth`],
 //! [`pairs`], [`loss`], [`adamw`].
 
@@ -20,6 +20,7 @@ pub mod neural;
 pub mod objective;
 pub mod options;
 pub mod pairs;
+pub mod spherical;
 pub mod train;
 pub mod truth;
 
@@ -27,5 +28,5 @@ pub use add::add;
 pub use error::Error;
 pub use factor::{FactorFit, FactorOptions, fit_factor};
 pub use fit::{Doubt, Input, Outcome, Watch, doubts, fit};
-pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Recipe};
+pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Recipe, SphericalOptions};
 pub use truth::Truth;

@@ -1,12 +1,15 @@
 //! What is fitted, and how.
 
 use glimt_core::features::Inputs;
-use glimt_core::hybrid::{Composition, Form};
+use glimt_core::hybrid::{self, Composition};
 use glimt_core::network::Activation;
+use glimt_core::spherical::store::StoreKind;
+use glimt_core::spherical::tables::{Form, Grids};
 use serde::{Deserialize, Serialize};
 
 use crate::adamw::AdamW;
 use crate::backprop::Shape;
+use crate::fit::Input;
 use crate::hybrid::{HybridObjective, Sharing};
 use crate::loss::Loss;
 use crate::pairs::Drawing;
@@ -31,6 +34,8 @@ pub enum Model {
     Hybrid(HybridOptions),
     /// The network-only baseline.
     Neural(NeuralOptions),
+    /// Features in tables on hemispheres, and a network.
+    Spherical(SphericalOptions),
 }
 
 /// Hidden layers of a network: width × number.
@@ -160,7 +165,7 @@ impl HybridOptions {
     }
 
     pub(crate) fn objective(&self, isotropic: bool) -> HybridObjective {
-        let form = Form {
+        let form = hybrid::Form {
             inputs: self.inputs.inputs(isotropic),
             analytic_input: self.analytic_input,
             composition: self.composition,
@@ -188,6 +193,44 @@ pub struct NeuralOptions {
     pub latent: usize,
     /// Loss of f.
     pub loss: Loss,
+}
+
+/// A spherical fit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SphericalOptions {
+    /// The tables.
+    pub form: Form,
+    /// How features are kept.
+    pub store: StoreKind,
+    /// Hidden layers.
+    pub net: Net,
+    /// Clusters of materials that share network and codebook; `None`: every material has its own.
+    pub clusters: Option<usize>,
+    /// Loss of f.
+    pub loss: Loss,
+}
+
+/// Loss of glimt's spherical fits.
+pub const SPHERICAL_LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
+
+impl SphericalOptions {
+    /// Whether such a model can be fitted to `inputs`.
+    pub(crate) fn check(&self, inputs: &[Input]) -> Result<(), String> {
+        self.form.validate()?;
+        self.store.validate()?;
+        if let Some(input) = inputs.iter().find(|input| !input.isotropic && self.form.grids == Grids::Iso) {
+            return Err(format!(
+                "\"{}\" is anisotropic, but the grids iso are not; fit it with hd",
+                input.name
+            ));
+        }
+        match self.clusters {
+            Some(count) if count == 0 || count > inputs.len() => {
+                Err(format!("{count} clusters of {0} materials; expected 1 to {0}", inputs.len()))
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 impl Schedule {

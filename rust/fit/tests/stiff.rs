@@ -30,7 +30,7 @@ fn most(case: &Case, model: &Model) -> f64 {
                 0.02
             }
         }
-        Model::Neural(_) => 0.1,
+        Model::Neural(_) | Model::Spherical(_) => 0.1,
     }
 }
 

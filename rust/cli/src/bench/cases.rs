@@ -7,11 +7,16 @@ use clap::ValueEnum;
 use glimt_core::Material;
 use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
+use glimt_core::healpix::Healpix;
 use glimt_core::hybrid::{Form, Hybrid};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::nbrdf::Nbrdf;
 use glimt_core::network::{Activation, Layer, Network};
 use glimt_core::neural::{FEATURES, FRAME_OUTPUTS, Neural, Shared};
+use glimt_core::spherical::pixelation::Pixelation;
+use glimt_core::spherical::store::Store;
+use glimt_core::spherical::tables::{self, Grids, Interpolation, Layout};
+use glimt_core::spherical::{Features, Spherical};
 use glimt_fit::Net;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -23,6 +28,7 @@ pub enum Kind {
     Hybrid,
     Neural,
     Nbrdf,
+    Spherical,
 }
 
 /// A material and its size.
@@ -79,6 +85,7 @@ impl Kind {
                 })
                 .collect(),
             Kind::Neural => nets.iter().map(|&net| case(neural(net))).collect(),
+            Kind::Spherical => nets.iter().map(|&net| case(spherical(net))).collect(),
         }
     }
 }
@@ -92,6 +99,23 @@ fn hybrid(net: Net, microfacet: Microfacet) -> Result<Hybrid, String> {
     let sizes = sizes(form.features() + HYBRID_LATENT, net, form.composition.outputs());
     let network = Arc::new(network(&sizes, form.features(), Activation::HardGelu)?);
     Hybrid::new(form, network, microfacet, vec![0.1; HYBRID_LATENT], BOUND)
+}
+
+/// The tables that `glimt fit` chooses for isotropic materials.
+fn spherical(net: Net) -> Result<Spherical, String> {
+    let form = tables::Form {
+        grids: Grids::Iso,
+        pixelation: Pixelation::Healpix,
+        nside: Healpix::try_from(32)?,
+        nodes: 64,
+        features: 16,
+        interpolation: Interpolation::Bilinear,
+    };
+    let layout = Arc::new(Layout::new(form)?);
+    let wave = |row: usize| (0..form.features).map(move |j| (0.1 * row as f32 + f32::from(j)).sin());
+    let store = Store::F32((0..layout.places().len()).flat_map(wave).collect());
+    let network = network(&sizes(form.inputs(), net, 3), form.inputs(), Activation::HardGelu)?;
+    Spherical::new(layout, Arc::new(network), Features { store, links: None }, BOUND)
 }
 
 fn neural(net: Net) -> Result<Neural, String> {

@@ -4,12 +4,18 @@ use std::ops::ControlFlow;
 
 use glam::Vec3;
 use glimt_core::ggx::Ggx;
+use glimt_core::healpix::Healpix;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
+use glimt_core::spherical::pixelation::Pixelation;
+use glimt_core::spherical::store::StoreKind;
+use glimt_core::spherical::tables::{Form, Grids, Interpolation};
 use glimt_core::{Brdf, is_lit};
-use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
+use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS, SPHERICAL_LOSS};
 use glimt_fit::train::Schedule;
-use glimt_fit::{HybridOptions, Input, Model, Net, NeuralOptions, Options, Outcome, Truth, fit};
+use glimt_fit::{
+    HybridOptions, Input, Model, Net, NeuralOptions, Options, Outcome, SphericalOptions, Truth, fit,
+};
 use glimt_report::{BrdfError, Protocol};
 
 /// A BRDF that is a function of lit directions.
@@ -93,19 +99,34 @@ pub fn goniometer() -> (Vec<Vec3>, Vec<Vec3>) {
 const NET: Net = Net { width: 16, layers: 2 };
 
 /// The models that are fitted, with glimt's own recipes.
-pub fn models() -> [(&'static str, Model); 3] {
+pub fn models() -> [(&'static str, Model); 4] {
     let neural = NeuralOptions { net: NET, latent: 8, loss: DEFAULT_LOSS };
+    let spherical = SphericalOptions {
+        form: Form {
+            grids: Grids::Hd,
+            pixelation: Pixelation::Healpix,
+            nside: Healpix::try_from(8).expect("a power of two"),
+            nodes: 2,
+            features: 4,
+            interpolation: Interpolation::Bilinear,
+        },
+        store: StoreKind::I8,
+        net: NET,
+        clusters: None,
+        loss: SPHERICAL_LOSS,
+    };
     [
         ("ggx", Model::Ggx(DEFAULT_ANALYTIC_LOSS)),
         ("hybrid", Model::Hybrid(HybridOptions::shared(NET, 4))),
         ("neural", Model::Neural(neural)),
+        ("spherical", Model::Spherical(spherical)),
     ]
 }
 
 /// Learning rate of the command line for a model.
 pub fn rate(model: &Model) -> f32 {
     match model {
-        Model::Neural(_) => 0.02,
+        Model::Neural(_) | Model::Spherical(_) => 0.02,
         Model::Ggx(_) | Model::Hybrid(_) => 0.01,
     }
 }

@@ -1,0 +1,291 @@
+use super::*;
+use crate::fit::{Input, Outcome, fit};
+use crate::options::{Model, Net, Options, SPHERICAL_LOSS, SphericalOptions};
+use crate::pairs::{self, Drawing};
+use crate::train::Schedule;
+use crate::truth::Truth;
+use glam::Vec3;
+use glimt_core::ggx::Ggx;
+use glimt_core::library::Origin;
+use glimt_core::microfacet::Microfacet;
+use glimt_core::spherical::pixelation::Pixelation;
+use glimt_core::spherical::tables::{Form, Grids, Interpolation};
+use glimt_core::{Brdf, Material};
+use std::ops::ControlFlow;
+
+const GRIDS: [Grids; 3] = [Grids::Lv, Grids::Hd, Grids::Iso];
+
+fn form(grids: Grids) -> Form {
+    Form {
+        grids,
+        pixelation: Pixelation::Healpix,
+        nside: 2u16.try_into().unwrap(),
+        nodes: 6,
+        features: 4,
+        interpolation: Interpolation::Bilinear,
+    }
+}
+
+fn material(alpha: [f32; 2]) -> Ggx {
+    Ggx::new(Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha }).unwrap()
+}
+
+/// Every kind of number in every stage, against differences of the loss itself. In the stage of soft choices
+/// the loss is a step function of the features; what is compared there is the derivative of the soft
+/// mean, see `soft_choices_have_the_derivatives_of_their_mean`.
+#[test]
+fn gradient_is_the_finite_difference_for_network_features_and_primitives() {
+    let squared = Loss { absolute: 0.0, squared: 1.0, relative: 0.0 };
+    let target = material([0.3, 0.4]);
+    for grids in GRIDS {
+        for (store, stage) in [(StoreKind::F32, Stage::Free), (StoreKind::Codebook(3), Stage::Chosen)] {
+            let layout = Layout::new(form(grids)).unwrap();
+            let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
+            let objective = SphericalObjective { layout: &layout, shape, loss: squared, store, stage };
+            let mut numbers = objective.initial(5, 1);
+            let (network, shared) = (objective.shape.len(), objective.shared_len());
+            let features = shared..shared + layout.places().len() * 4;
+            if stage == Stage::Chosen {
+                objective.enter_kept(&mut numbers);
+                objective.choose(&mut numbers);
+            }
+            let pairs = &pairs::draw(Drawing::Lobes, 3, 1, 1)[0];
+            let target = &pairs::evaluate(&target, std::slice::from_ref(pairs))[0];
+            let mut workspace = objective.workspace();
+            let mut evaluate = |numbers: &[f32]| {
+                let (own_shared, own) = numbers.split_at(shared);
+                let mut gradient = vec![0.0; numbers.len()];
+                let (by_shared, by_own) = gradient.split_at_mut(shared);
+                let loss = objective.block(&mut workspace, own_shared, own, pairs, target, by_shared, by_own);
+                (loss, gradient)
+            };
+            let (_, gradient) = evaluate(&numbers);
+            let kinds: Vec<(&str, std::ops::Range<usize>, usize)> = match stage {
+                Stage::Chosen => vec![("primitive", network..shared, 1)],
+                _ => vec![("network", 0..network, 7), ("feature", features.clone(), 3)],
+            };
+            for (kind, range, step) in kinds {
+                let largest = gradient[range.clone()].iter().fold(0.0f32, |a, g| a.max(g.abs()));
+                assert!(largest > 1e-3, "{grids:?}: {kind} has no derivative");
+                for n in range.step_by(step) {
+                    const STEP: f32 = 4e-3;
+                    let mut shifted = numbers.clone();
+                    shifted[n] += STEP;
+                    let above = evaluate(&shifted).0;
+                    shifted[n] -= 2.0 * STEP;
+                    let slope = (above - evaluate(&shifted).0) / f64::from(2.0 * STEP);
+                    let error = (f64::from(gradient[n]) - slope).abs();
+                    assert!(
+                        error < 0.02 * slope.abs() + 5e-3 * f64::from(largest),
+                        "{grids:?} {kind} {n}: {} against {slope}",
+                        gradient[n]
+                    );
+                }
+            }
+            if stage == Stage::Chosen {
+                assert!(gradient[features].iter().all(|&g| g == 0.0), "chosen features move no more");
+            }
+        }
+    }
+}
+
+#[test]
+fn soft_choices_have_the_derivatives_of_their_mean() {
+    const K: usize = 4;
+    let codebook: Vec<f32> = (0..6 * K).map(|i| (i as f32 * 1.7).sin()).collect();
+    let candidates = [1.0, 4.0, 0.0, 5.0];
+    let features = [0.3, -0.2, 0.5, 0.1f32];
+    let by_feature = [0.7, -1.1, 0.4, 0.9f32];
+    // The mean at a fixed temperature, as the derivative takes it.
+    let value = |features: &[f32; K], codebook: &[f32], temperature: f32| -> f64 {
+        let weights = candidates.map(|c: f32| {
+            let primitive = &codebook[c as usize * K..][..K];
+            let square: f32 = primitive.iter().zip(features).map(|(p, x)| (p - x) * (p - x)).sum();
+            f64::from(-square / temperature).exp()
+        });
+        let sum: f64 = weights.iter().sum();
+        let mean = |j: usize| -> f64 {
+            candidates
+                .iter()
+                .zip(weights)
+                .map(|(&c, w)| w / sum * f64::from(codebook[c as usize * K + j]))
+                .sum()
+        };
+        (0..K).map(|j| mean(j) * f64::from(by_feature[j])).sum()
+    };
+    let parts: Parts<&[f32]> = Parts {
+        network: &[],
+        scales: &[],
+        codebook: &codebook,
+        features: &features,
+        candidates: &candidates,
+    };
+    let choice = Choice::new(&features, 0, &parts);
+    let (mut by_features, mut by_codebook) = ([0.0; K], [[0.0; K]; 6]);
+    choice.add_gradient(1.0, &by_feature, &mut by_features, &mut by_codebook);
+    const STEP: f32 = 1e-3;
+    for j in 0..K {
+        let shifted = |step: f32| {
+            let mut features = features;
+            features[j] += step;
+            value(&features, &codebook, choice.temperature)
+        };
+        let slope = (shifted(STEP) - shifted(-STEP)) / f64::from(2.0 * STEP);
+        assert!((f64::from(by_features[j]) - slope).abs() < 1e-3, "{j}: {} and {slope}", by_features[j]);
+    }
+    // A primitive moves with the weight of its choice.
+    let total: f32 = by_codebook.as_flattened().iter().sum();
+    assert!((total - by_feature.iter().sum::<f32>()).abs() < 1e-5);
+    assert_eq!(by_codebook[2], [0.0; K]);
+}
+
+fn options(grids: Grids, store: StoreKind, steps: u64) -> Options {
+    let form = Form { nside: 8u16.try_into().unwrap(), nodes: 24, features: 8, ..form(grids) };
+    let net = Net { width: 16, layers: 2 };
+    let spherical = SphericalOptions { form, store, net, clusters: None, loss: SPHERICAL_LOSS };
+    let schedule = Schedule { blocks: 2, rate: 0.02, ..Schedule::standard(steps, 1) };
+    Options { model: Model::Spherical(spherical), schedule }
+}
+
+fn input<'a>(name: &str, truth: Truth<'a>) -> Input<'a> {
+    Input { name: name.to_owned(), truth, isotropic: true, origin: Origin::default() }
+}
+
+/// Mean of |ln(1 + f cosθ) − ln(1 + f̂ cosθ)|.
+fn log_error(model: &dyn Brdf, truth: &dyn Brdf) -> f32 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for pairs in pairs::draw(Drawing::Cosine, 77, 0, 8) {
+        for column in 0..COLUMNS {
+            let (light, view) = (lanes(&pairs.light, column), lanes(&pairs.view, column));
+            let (mut f, mut g) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
+            truth.eval_tile(&light, &view, &mut f);
+            model.eval_tile(&light, &view, &mut g);
+            for c in 0..3 {
+                for lane in 0..LANES {
+                    let log = |f: f32| (1.0 + f * light[2][lane]).ln();
+                    sum += (log(f[c][lane]) - log(g[c][lane])).abs();
+                    count += 1.0;
+                }
+            }
+        }
+    }
+    sum / count
+}
+
+fn fitted(inputs: &[Input], options: &Options) -> Vec<Material> {
+    let Ok(Outcome::Done(entries)) = fit(inputs, options, None, &mut |_, _| ControlFlow::Continue(())) else {
+        panic!("the fit did not end")
+    };
+    entries.into_iter().map(|entry| entry.material).collect()
+}
+
+#[test]
+fn every_kind_of_grid_and_store_comes_near_its_material() {
+    let truth = material([0.3; 2]);
+    for (grids, store, limit) in [
+        (Grids::Iso, StoreKind::F32, 0.004),
+        (Grids::Iso, StoreKind::I8, 0.004),
+        (Grids::Iso, StoreKind::I4, 0.008),
+        (Grids::Iso, StoreKind::Codebook(6), 0.008),
+        (Grids::Hd, StoreKind::I8, 0.008),
+        (Grids::Lv, StoreKind::I8, 0.03),
+    ] {
+        let model = fitted(&[input("a", Truth::Brdf(&truth))], &options(grids, store, 1000)).remove(0);
+        let error = log_error(&model, &truth);
+        assert!(error < limit, "{grids:?} {store:?}: {error}");
+    }
+}
+
+#[test]
+fn a_fit_that_was_interrupted_in_any_stage_ends_the_same() {
+    let truths = [material([0.3; 2]), material([0.15; 2])];
+    let inputs = [input("a", Truth::Brdf(&truths[0])), input("b", Truth::Brdf(&truths[1]))];
+    for store in [StoreKind::I8, StoreKind::Codebook(4)] {
+        let options = options(Grids::Iso, store, 1000);
+        let whole = fitted(&inputs, &options);
+        let mut checkpoint = None;
+        let mut stops = 0;
+        let parts = loop {
+            let mut calls = 0;
+            let end = fit(&inputs, &options, checkpoint.take(), &mut |_, _| {
+                calls += 1;
+                if calls > 8 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            });
+            match end.unwrap() {
+                Outcome::Done(entries) => break entries,
+                Outcome::Stopped(stopped) => checkpoint = stopped,
+            }
+            stops += 1;
+        };
+        assert!(stops >= 4);
+        let (l, v) = (Vec3::new(0.48, 0.6, 0.64), Vec3::new(-0.6, 0.0, 0.8));
+        for (a, b) in whole.iter().zip(parts) {
+            assert_eq!(a.eval(l, v), b.material.eval(l, v), "{store:?}");
+        }
+    }
+}
+
+#[test]
+fn clusters_hold_what_is_alike_and_share_network_and_codebook() {
+    let truths = [[0.3; 2], [0.05; 2], [0.31; 2], [0.052; 2]].map(material);
+    let inputs: Vec<Input> =
+        truths.iter().enumerate().map(|(i, truth)| input(&i.to_string(), Truth::Brdf(truth))).collect();
+    let mut options = options(Grids::Iso, StoreKind::Codebook(5), 250);
+    let Model::Spherical(spherical) = &mut options.model else { unreachable!() };
+    spherical.clusters = Some(2);
+    let made = fitted(&inputs, &options);
+    let network = |i: usize| std::ptr::from_ref(made[i].network().unwrap());
+    assert_eq!(network(0), network(2));
+    assert_eq!(network(1), network(3));
+    assert_ne!(network(0), network(1));
+    let Model::Spherical(spherical) = &mut options.model else { unreachable!() };
+    spherical.clusters = Some(5);
+    let Err(error) = fit(&inputs, &options, None, &mut |_, _| ControlFlow::Continue(())) else { panic!() };
+    assert!(error.to_string().contains("5 clusters of 4 materials; expected 1 to 4"), "{error}");
+}
+
+#[test]
+fn anisotropic_materials_refuse_isotropic_grids() {
+    let truth = material([0.1, 0.4]);
+    let inputs = [Input { isotropic: false, ..input("brushed", Truth::Brdf(&truth)) }];
+    let options = options(Grids::Iso, StoreKind::I8, 10);
+    let Err(error) = fit(&inputs, &options, None, &mut |_, _| ControlFlow::Continue(())) else { panic!() };
+    assert!(error.to_string().contains("\"brushed\" is anisotropic"), "{error}");
+}
+
+/// As many samples as the paper's sparsest measurements have.
+#[test]
+fn a_fit_to_448_samples_is_finite_smooth_and_near_them() {
+    let truth = material([0.4; 2]);
+    let direction = |i: usize, step: f32| {
+        let (z, phi) = (0.1 + 0.9 * ((i as f32 + 0.5) * step).fract(), i as f32 * 2.399 * step);
+        let r = (1.0 - z * z).sqrt();
+        Vec3::new(r * phi.cos(), r * phi.sin(), z)
+    };
+    let light: Vec<Vec3> = (0..448).map(|i| direction(i, 0.754_877_7)).collect();
+    let view: Vec<Vec3> = (0..448).map(|i| direction(i, 0.569_840_3)).collect();
+    let f: Vec<Vec3> = light.iter().zip(&view).map(|(&l, &v)| truth.eval(l, v)).collect();
+    let inputs = [input("sparse", Truth::Samples { light: &light, view: &view, f: &f })];
+    for grids in GRIDS {
+        let model = fitted(&inputs, &options(grids, StoreKind::I8, 500)).remove(0);
+        let Material::Spherical(spherical) = &model else { panic!("another model") };
+        assert!(spherical.features().links.is_some(), "{grids:?}: nothing was pruned");
+        let at_samples = light.iter().zip(&view).zip(&f).map(|((&l, &v), f)| {
+            let error = (model.eval(l, v) - *f).abs() / (*f + 0.01);
+            error.element_sum() / 3.0
+        });
+        let mean = at_samples.sum::<f32>() / 448.0;
+        assert!(mean < 0.2, "{grids:?}: {mean} at the samples");
+        let brightest = f.iter().fold(0.0f32, |a, f| a.max(f.max_element()));
+        for i in 0..2000 {
+            let (l, v) = (direction(i, 0.331), direction(i, 0.717));
+            let here = model.eval(l, v);
+            assert!(here.is_finite() && here.max_element() < 4.0 * brightest, "{grids:?}: {here}");
+            let near = model.eval((l + Vec3::new(0.0, 1e-3, 0.0)).normalize(), v);
+            assert!(
+                (near - here).abs().max_element() < 0.1 * here.max_element() + 0.01,
+                "{grids:?}: {here} {near}"
+            );
+        }
+    }
+}
