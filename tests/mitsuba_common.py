@@ -4,6 +4,7 @@ import pytest
 from model_libraries import (
     LIBRARIES,
     MICROFACET,
+    TRACED,
     hemisphere,
     network_tensors,
     save_safetensors,
@@ -17,6 +18,7 @@ pytest.importorskip("glimt", reason="the package is not installed: pip install .
 __all__ = [
     "LIBRARIES",
     "MICROFACET",
+    "TRACED",
     "dr",
     "hemisphere",
     "interaction",

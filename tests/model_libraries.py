@@ -32,6 +32,21 @@ LIBRARIES = {
     },
     "neural": {"kind": "neural"},
     "nbrdf": {"kind": "nbrdf"},
+    "spherical": {"kind": "spherical"},
+}
+
+# Those that Dr.Jit can differentiate; the others are calls into the core.
+TRACED = [name for name, library in LIBRARIES.items() if library["kind"] != "spherical"]
+
+# Two small hemispheres of features, of lights and of views.
+SPHERICAL_FORM = {
+    "grids": "lv",
+    "pixelation": "healpix",
+    "nside": 4,
+    "nodes": 2,
+    "features": 4,
+    "interpolation": "bilinear",
+    "store": "f32",
 }
 
 
@@ -100,6 +115,11 @@ def write_library(
         tensors["frames.weight"], tensors["frames.bias"] = rng.normal(0, 0.2, (18, 12)), np.full(18, 0.1)
     if kind == "nbrdf":
         tensors = network_tensors(rng, [6, 21, 21, 3], [0.1, 0.2, 0.15], leading=(count,))
+    if kind == "spherical":
+        form, nside, k = SPHERICAL_FORM, SPHERICAL_FORM["nside"], SPHERICAL_FORM["features"]
+        tensors = network_tensors(rng, [2 * k, 16, 16, 3], [2.0, 2.5, 3.0], leading=(1,))
+        tensors["features"] = rng.normal(0, 0.5, (count * 2 * (6 * nside * (nside + 1) + 1), k))
+        tensors["bound"] = np.full(count, 6.0)
     header = {
         "format": 1,
         "kind": kind,

@@ -2,7 +2,17 @@
 
 import numpy as np
 import pytest
-from mitsuba_common import LIBRARIES, MICROFACET, dr, hemisphere, interaction, load, mi, write_libraries
+from mitsuba_common import (
+    LIBRARIES,
+    MICROFACET,
+    TRACED,
+    dr,
+    hemisphere,
+    interaction,
+    load,
+    mi,
+    write_libraries,
+)
 
 PAIRS = 10_000
 
@@ -57,7 +67,7 @@ def test_ggx_is_the_textbook(libraries, material):
     assert np.max(np.abs(f - truth) / truth) < 1e-4
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
+@pytest.mark.parametrize("library", TRACED)
 def test_traced_way_is_the_in_kernel_call(libraries, library):
     mi.set_variant("llvm_ad_rgb")
     light, view = hemisphere(PAIRS, 3), hemisphere(PAIRS, 4)
