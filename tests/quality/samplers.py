@@ -1,10 +1,11 @@
-"""Noise of each sampler on measurements: the variance of f cosθ / pdf, relative to the squared mean.
+"""Noise of each sampler on measurements or fits: the variance of f cosθ / pdf, relative to the squared mean.
 
-    python tests/quality/samplers.py [DIRECTORY] [--plot samplers.png]
+    python tests/quality/samplers.py [DIRECTORY|LIBRARY] [--plot samplers.png]
 
-For every RGL file of the directory and views from 0° to 80°, samples are drawn by the cosine, by the fitted
-lobes, by the measurement's own warp, and by tables; the figure is the mean over the views, which says how
-many samples per pixel a renderer needs under an even sky. The time to make a table and its bytes follow.
+For every RGL file of the directory, or material of the library, and views from 0° to 80°, samples are drawn
+by the cosine, by the fitted lobes, by the measurement's own warp, and by tables; the figure is the mean over
+the views, which says how many samples per pixel a renderer needs under an even sky. The time to make a table
+and its bytes follow.
 """
 
 import argparse
@@ -42,36 +43,43 @@ def relative_variance(material, sampler, rng):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("directory", type=Path, nargs="?", default=DIRECTORY)
+    parser.add_argument("source", type=Path, nargs="?", default=DIRECTORY)
     parser.add_argument("--plot", type=Path)
     arguments = parser.parse_args()
-    files = sorted(arguments.directory.glob("*.bsdf"))
-    if not files:
-        parser.error(f"{arguments.directory} holds no .bsdf file")
+    materials, samplers = opened(arguments.source)
+    if not materials:
+        parser.error(f"{arguments.source} holds no .bsdf file")
     table, cost = {}, {}
-    print(f"{'material':24}" + "".join(f"{sampler:>13}" for sampler in SAMPLERS))
-    for file in files:
-        warp = glimt.load(file).material()
+    print(f"{'material':24}" + "".join(f"{sampler:>13}" for sampler in samplers))
+    for source in materials:
         row = []
-        for sampler in SAMPLERS:
-            material = warp
+        for sampler in samplers:
+            material = source
             if sampler not in ("cosine", "warp"):
                 start = time.perf_counter()
-                material = warp.with_sampler(sampler)
+                material = source.with_sampler(sampler)
                 cost.setdefault(sampler, []).append((time.perf_counter() - start, material.sampler_bytes))
             row.append(relative_variance(material, sampler, np.random.default_rng(1)))
-        table[warp.name] = row
-        print(f"{warp.name:24}" + "".join(f"{value:13.3f}" for value in row), flush=True)
+        table[source.name] = row
+        print(f"{source.name:24}" + "".join(f"{value:13.3f}" for value in row), flush=True)
     means = np.exp(np.mean(np.log(list(table.values())), axis=0))
     print(f"{'geometric mean':24}" + "".join(f"{value:13.3f}" for value in means))
     for sampler, values in cost.items():
         seconds, size = np.median(values, axis=0)
         print(f"{sampler}: made in {1e3 * seconds:.0f} ms, {int(size):,} bytes")
     if arguments.plot:
-        plot(table, arguments.plot)
+        plot(table, samplers, arguments.plot)
 
 
-def plot(table, path):
+def opened(source):
+    """The materials of a directory or library, and the samplers that they can have."""
+    if source.is_dir():
+        return [glimt.load(file).material() for file in sorted(source.glob("*.bsdf"))], SAMPLERS
+    library = glimt.load(source)
+    return [library[name] for name in library.materials], [name for name in SAMPLERS if name != "warp"]
+
+
+def plot(table, samplers, path):
     import matplotlib
 
     matplotlib.use("Agg")
@@ -79,7 +87,7 @@ def plot(table, path):
 
     values, places = np.array(list(table.values())), np.arange(len(table))
     figure, axes = plt.subplots(figsize=(9, 4), layout="constrained")
-    for i, sampler in enumerate(SAMPLERS):
+    for i, sampler in enumerate(samplers):
         axes.plot(places, values[:, i], "o", label=sampler)
     axes.set_yscale("log")
     axes.set_ylabel("variance / mean²")

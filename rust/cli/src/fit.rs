@@ -102,7 +102,7 @@ pub struct Arguments {
     #[arg(long, value_name = "RATE")]
     rate: Option<f32>,
     #[command(flatten)]
-    spherical: spherical::Arguments,
+    spherical: spherical::SphericalArguments,
     /// Go on from the checkpoint of an interrupted fit
     #[arg(long)]
     resume: bool,

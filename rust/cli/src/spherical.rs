@@ -15,7 +15,7 @@ use crate::fit::parse_variant;
 /// Options that mean something for the spherical model only.
 #[derive(clap::Args)]
 #[command(next_help_heading = "Spherical model")]
-pub struct Arguments {
+pub struct SphericalArguments {
     /// What the tables are laid over: lv, light and view hemispheres, as in the paper; hd, half and difference
     /// vectors; iso, for isotropic materials, lists along √θ_h, θ_l and θ_v and half a hemisphere of difference
     /// vectors [default: iso if all materials are isotropic, else hd]
@@ -69,7 +69,7 @@ fn parse_codebook(text: &str) -> Result<OptionalBits, String> {
 /// Hidden layers of the paper's network.
 const NET: Net = Net { width: 64, layers: 2 };
 
-impl Arguments {
+impl SphericalArguments {
     /// The options for `inputs`, and why the grids are what they are.
     ///
     /// # Errors
