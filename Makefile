@@ -38,6 +38,7 @@ demo: install
 test: install
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+	cargo update --quiet --workspace --locked --manifest-path fuzz/Cargo.toml
 	ruff check .
 	ruff format --check .
 	cargo test --workspace --locked

@@ -6,7 +6,7 @@ use std::cell::Cell;
 use std::path::Path;
 
 use glimt_core::{Library, Material, SampleBrdf, Vec3};
-use glimt_files::{Array, Samples, nbrdf};
+use glimt_files::{Array, Samples, merl_fits, nbrdf};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_measured::utia::Encoding;
 use glimt_measured::{Measured, Merl, Rgl, Utia, merl, utia};
@@ -18,7 +18,7 @@ const PATH: &str = "hostile";
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
 /// All of them, by the names of their folders in the corpus.
-pub const READERS: [Reader; 8] = [
+pub const READERS: [Reader; 9] = [
     ("library", library),
     ("merl", merl_file),
     ("utia", utia_file),
@@ -27,6 +27,7 @@ pub const READERS: [Reader; 8] = [
     ("nbrdf", nbrdf_file),
     ("samples", samples),
     ("checkpoint", checkpoint),
+    ("fit", fit),
 ];
 
 /// Model libraries.
@@ -92,6 +93,15 @@ pub fn checkpoint(bytes: &[u8]) -> bool {
     true
 }
 
+/// Published analytic fits.
+pub fn fit(bytes: &[u8]) -> bool {
+    let Some(materials) = within(JSON, bytes, || merl_fits::materials(bytes)) else { return false };
+    for (_, material) in materials {
+        promises(&Material::Analytic(material));
+    }
+    true
+}
+
 /// f is finite and ≥ 0 and the density is that of the sampler, wherever one looks.
 fn promises(material: &dyn SampleBrdf) {
     let directions = [
@@ -141,13 +151,18 @@ fn within<T, E: std::fmt::Debug>(
     bytes: &[u8],
     read: impl FnOnce() -> Result<T, E>,
 ) -> Option<T> {
-    let before = LIVE.with(Cell::get);
-    PEAK.with(|peak| peak.set(before));
-    let result = read();
-    let used = PEAK.with(Cell::get).saturating_sub(before);
+    let (result, used) = with_peak(read);
     let most = budget.factor * bytes.len() + budget.slack;
     assert!(used <= most as isize, "reading {} bytes took {used} bytes of memory", bytes.len());
     result.ok()
+}
+
+/// What `run` gives, and the most memory in bytes that this thread held meanwhile beyond what it held before.
+pub fn with_peak<T>(run: impl FnOnce() -> T) -> (T, isize) {
+    let before = LIVE.with(Cell::get);
+    PEAK.with(|peak| peak.set(before));
+    let result = run();
+    (result, PEAK.with(Cell::get).saturating_sub(before))
 }
 
 /// Counts what this thread holds, and the most that it held.

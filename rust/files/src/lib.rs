@@ -12,7 +12,7 @@
 
 mod error;
 pub mod keras;
-mod merl_fits;
+pub mod merl_fits;
 pub mod nbrdf;
 pub mod npy;
 pub mod samples;

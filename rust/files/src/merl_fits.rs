@@ -30,7 +30,6 @@ pub fn open(path: &Path) -> Result<Library, Error> {
         return Err(invalid(format!("it has {size} bytes, expected at most {MAX_BYTES}")));
     }
     let bytes = std::fs::read(path).map_err(Error::read(path))?;
-    let text = String::from_utf8(bytes).map_err(|_| invalid("it is not text".into()))?;
     let origin = Origin {
         source: file_name(path),
         sha256: sha256(path)?,
@@ -38,16 +37,25 @@ pub fn open(path: &Path) -> Result<Library, Error> {
         license: "3-clause BSD (the collection); parameters as published".into(),
         ..Origin::default()
     };
-    let mut entries = Vec::new();
-    for (number, line) in text.lines().enumerate() {
-        if line.trim().is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let (name, material) = parse(line).map_err(|e| invalid(format!("line {}: {e}", number + 1)))?;
-        let material = Material::Analytic(material);
-        entries.push(Entry { name, material, origin: origin.clone() });
-    }
-    Ok(Library::new(path, entries)?)
+    let entries = materials(&bytes).map_err(invalid)?.into_iter().map(|(name, material)| Entry {
+        name,
+        material: Material::Analytic(material),
+        origin: origin.clone(),
+    });
+    Ok(Library::new(path, entries.collect())?)
+}
+
+/// The materials that the bytes of a file hold, by name.
+///
+/// # Errors
+/// In words, the line, what was found and what was expected.
+pub fn materials(bytes: &[u8]) -> Result<Vec<(String, Analytic)>, String> {
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is not text")?;
+    text.lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'))
+        .map(|(number, line)| parse(line).map_err(|e| format!("line {}: {e}", number + 1)))
+        .collect()
 }
 
 fn parse(line: &str) -> Result<(String, Analytic), String> {

@@ -1,11 +1,20 @@
 //! Every reader on the corpus of the fuzz targets, and on mutations of it: what `fuzz/run` does at length.
 
 use std::path::PathBuf;
+use std::sync::Arc;
+
+use glimt_core::factor::{DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation};
+use glimt_core::ggx::Ggx;
+use glimt_core::hybrid::{Form, Hybrid};
+use glimt_core::library::{Entry, Origin};
+use glimt_core::microfacet::Microfacet;
+use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::{Library, Material};
 
 #[path = "../../../fuzz/src/readers.rs"]
 mod readers;
 
-use readers::READERS;
+use readers::{READERS, with_peak};
 
 /// Files of a reader's corpus.
 fn corpus(reader: &str) -> Vec<(PathBuf, Vec<u8>)> {
@@ -62,4 +71,41 @@ fn mutated_files_are_an_error_or_keep_every_promise() {
 #[ignore = "long: a hundred times as many mutations"]
 fn many_mutated_files_are_an_error_or_keep_every_promise() {
     mutate(100);
+}
+
+/// Peak memory over the file's length, when a library of these materials is read.
+fn memory_of_library(name: &str, materials: impl Iterator<Item = Material>) -> f64 {
+    let named = |(i, material)| Entry { name: format!("{name} {i}"), material, origin: Origin::default() };
+    let entries: Vec<Entry> = materials.enumerate().map(named).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("library.safetensors");
+    Library::new(&path, entries).unwrap().save().unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let (library, used) = with_peak(|| Library::from_bytes(&path, &bytes));
+    assert!(library.is_ok());
+    let ratio = used as f64 / bytes.len() as f64;
+    println!("{name}: a file of {} bytes takes {used} bytes to read, {ratio:.1} times as much", bytes.len());
+    ratio
+}
+
+/// `cargo test -p glimt-files --test hostile memory -- --nocapture` prints the figures of docs/hostile-files.md.
+#[test]
+fn numbers_of_a_library_take_the_memory_that_they_are_worth_and_its_header_more() {
+    let parameters = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.1; 2] };
+    let many = (0..5000).map(|_| Material::from(Ggx::new(parameters).unwrap()));
+    let header = memory_of_library("5000 materials", many);
+    let table = Factors::Bivariate(vec![[0.5; 3]; HALF_BINS * DIFF_BINS]);
+    let table = Factor::new(table, Interpolation::Linear).unwrap();
+    let table = memory_of_library("a table", std::iter::once(table.into()));
+    // Networks of their own, so that numbers outweigh names.
+    let form = Form::PAPER;
+    let networks = (0..20).map(|i| {
+        let sizes = [form.features() + 4, 64, 64, 64, form.composition.outputs()];
+        let layer = |w: &[usize]| Layer { weight: vec![0.01 * i as f32; w[0] * w[1]], bias: vec![0.0; w[1]] };
+        let layers = sizes.windows(2).map(layer).collect();
+        let network = Network::new(layers, form.features(), Activation::HardGelu).unwrap();
+        Hybrid::new(form, Arc::new(network), parameters, vec![0.0; 4], 1.0).unwrap().into()
+    });
+    let networks = memory_of_library("20 networks", networks);
+    assert!(table < 6.0 && networks < 6.0 && header < 24.0);
 }
