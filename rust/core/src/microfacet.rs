@@ -105,7 +105,7 @@ impl Microfacet {
 ///
 /// A sum is that small only where light and view are within 10⁻¹⁸ of the horizon and opposite; the
 /// direction of their half vector is then the rounding error of their other components.
-const MIN_SUM_Z: f32 = 1e-18;
+pub const MIN_SUM_Z: f32 = 1e-18;
 
 /// The half vector of a pair of directions, h = light + view, not normalised, and its squares.
 #[derive(Clone, Copy, Debug)]

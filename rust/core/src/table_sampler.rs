@@ -20,6 +20,7 @@ use glam::{Vec2, Vec3};
 
 use crate::brdf::{Brdf, is_lit};
 use crate::lobes::sample_cosine;
+use crate::microfacet::MIN_SUM_Z;
 
 /// What the cells divide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -185,7 +186,8 @@ impl TableSampler {
     fn pdf_lit(&self, light: Vec3, view: Vec3, blend: &Blend) -> f32 {
         let (charted, jacobian) = match self.resolution.chart {
             Chart::Half => {
-                let half = (light + view).normalize();
+                let sum = light + view;
+                let half = sum.with_z(sum.z.max(MIN_SUM_Z)).normalize();
                 (half, 0.25 / view.dot(half).max(f32::MIN_POSITIVE))
             }
             Chart::Light => (light, 1.0),
@@ -202,7 +204,10 @@ impl TableSampler {
             })
             .sum();
         let table = probability / solid_angle * jacobian;
-        COSINE_SHARE * light.z * FRAC_1_PI + (1.0 - COSINE_SHARE) * table
+        // At the horizon the one can be less than float32 holds, which must not be 0 where f is not, and between
+        // opposite directions the other more.
+        let cosine = (COSINE_SHARE * light.z * FRAC_1_PI).max(f32::MIN_POSITIVE);
+        (cosine + (1.0 - COSINE_SHARE) * table).min(f32::MAX)
     }
 
     /// Ring and sector of a vector.

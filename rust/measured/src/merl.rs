@@ -13,6 +13,7 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 use glimt_core::kernel::Kernel;
 use glimt_core::math::angle;
+use glimt_core::microfacet::MIN_SUM_Z;
 use glimt_core::simd::{Isa, Lanes, Real, Vector};
 use glimt_core::tabulated::Table;
 use glimt_core::{Brdf, is_lit};
@@ -186,7 +187,8 @@ impl Table for Merl {
 #[inline(always)]
 fn position<F: Real>(light: [F; 3], view: [F; 3]) -> [F; 3] {
     let dot = |a: [F; 3], b: [F; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    let sum = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
+    // Between opposite directions at the horizon the half vector is the normal rather than nothing.
+    let sum = [light[0] + view[0], light[1] + view[1], (light[2] + view[2]).max(light[2].splat(MIN_SUM_Z))];
     let difference = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     let length = dot(sum, sum).sqrt();
     let across = (sum[0] * sum[0] + sum[1] * sum[1]).sqrt();
@@ -242,7 +244,9 @@ pub fn write_merl(path: impl AsRef<Path>, brdf: &dyn Brdf) -> Result<(), Error> 
     file::write(path.as_ref(), &to_bytes(brdf))
 }
 
-fn to_bytes(brdf: &dyn Brdf) -> Vec<u8> {
+/// The bytes that [`write_merl`] writes.
+#[must_use]
+pub fn to_bytes(brdf: &dyn Brdf) -> Vec<u8> {
     let mut bytes = vec![0; FILE_SIZE];
     for (word, bins) in bytes.chunks_exact_mut(4).zip(BINS) {
         word.copy_from_slice(&(bins as i32).to_le_bytes());
