@@ -12,8 +12,13 @@ from conftest import ROOT
 
 @dataclass
 class Answers:
-    """f (n, 3) in batches and one by one, and pdf (n)."""
+    """f (n, 3) in batches and one by one, and pdf (n), with the sampler to ask for.
 
+    Every sampler but the own warp of a measurement reaches all directions that reflect.
+    """
+
+    sampler: str
+    reaches_all: bool
     f: np.ndarray
     one: np.ndarray
     pdf: np.ndarray
@@ -21,12 +26,12 @@ class Answers:
 
 @dataclass
 class Catalogue:
-    """Pairs of directions with their families, and the answers of every library."""
+    """Pairs of directions with their families, and the answers of every file."""
 
     light: np.ndarray
     view: np.ndarray
     families: np.ndarray
-    libraries: dict[Path, Answers]
+    files: dict[Path, Answers]
 
 
 def export(target_dir, directory):
@@ -37,13 +42,17 @@ def export(target_dir, directory):
     run += ["--example", "export_catalogue", "--target-dir", target_dir, "--", directory]
     subprocess.run(run, cwd=ROOT, check=True)
     pairs = np.fromfile(directory / "pairs.raw", np.float32).reshape(-1, 6)
-    libraries = {
-        path: Answers(
+    listed = (directory / "files.txt").read_text().splitlines()
+    named = [line.split("\t") for line in listed]
+    files = {
+        (path := directory / name): Answers(
+            sampler,
+            bool(sampler) or not name.endswith(".bsdf"),
             np.fromfile(path.with_suffix(".f.raw"), np.float32).reshape(-1, 3),
             np.fromfile(path.with_suffix(".one.raw"), np.float32).reshape(-1, 3),
             np.fromfile(path.with_suffix(".pdf.raw"), np.float32),
         )
-        for path in sorted(directory.glob("*.safetensors"))
+        for name, sampler in named
     }
     families = np.array((directory / "families.txt").read_text().splitlines())
-    return Catalogue(pairs[:, :3].copy(), pairs[:, 3:].copy(), families, libraries)
+    return Catalogue(pairs[:, :3].copy(), pairs[:, 3:].copy(), families, files)

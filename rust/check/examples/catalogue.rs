@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 fn main() {
     let families = families();
-    let mut violations = Vec::new();
+    let (mut violations, mut firsts) = (0, Vec::new());
     let mut details = Vec::new();
     println!("| model | family | values | largest error, ULP | relative | condition, ULP | worst blame |");
     println!("|---|---|---|---|---|---|---|");
@@ -18,7 +18,8 @@ fn main() {
         let outcomes: Vec<_> = (kind.cases)().into_par_iter().map(|case| run(&case, &families)).collect();
         let mut worst = vec![Worst::default(); families.len()];
         for outcome in outcomes {
-            violations.extend(outcome.violations);
+            firsts.extend(outcome.violations.first().cloned());
+            violations += outcome.violations.len();
             worst.iter_mut().zip(outcome.errors).for_each(|(worst, errors)| worst.merge(errors));
         }
         for (family, worst) in families.iter().zip(worst).filter(|(_, worst)| worst.count > 0) {
@@ -39,9 +40,9 @@ fn main() {
         }
     }
     println!("\n{}\n", details.join("\n"));
-    println!("{} violations", violations.len());
-    for violation in violations.iter().take(20) {
-        println!("  {violation}");
+    println!("{violations} violations");
+    for first in &firsts {
+        println!("  {first}");
     }
-    std::process::exit(i32::from(!violations.is_empty()));
+    std::process::exit(i32::from(violations > 0));
 }

@@ -2,12 +2,13 @@
 //!
 //!     cargo run --release -p glimt-check --example export_catalogue -- DIRECTORY
 //!
-//! Float32, little-endian: `pairs.raw` holds (n, 6), light and view; beside each library `LIBRARY.f.raw`
-//! (n, 3), evaluated as a batch, `LIBRARY.one.raw` (n, 3), one by one, and `LIBRARY.pdf.raw` (n). `families.txt` names the family of each pair.
+//! Float32, little-endian: `pairs.raw` holds (n, 6), light and view; beside each file `FILE.f.raw` (n, 3),
+//! evaluated as a batch, `FILE.one.raw` (n, 3), one by one, and `FILE.pdf.raw` (n). `families.txt` names the family
+//! of each pair, `files.txt` each file and, after a tab, the sampler to ask for.
 
 use std::path::Path;
 
-use glimt_check::extremes::{families, save_libraries};
+use glimt_check::extremes::{families, save_files};
 use glimt_check::stability::eval_batch;
 use glimt_core::{Brdf, SampleBrdf};
 
@@ -26,7 +27,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let flat = pairs.iter().flat_map(|(l, v)| [l.x, l.y, l.z, v.x, v.y, v.z]);
     write(Path::new("pairs.raw"), flat.collect())?;
-    for (path, case) in save_libraries(directory)? {
+    let mut files = String::new();
+    for (path, case) in save_files(directory)? {
+        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        files.push_str(&format!("{file}\t{}\n", case.sampler));
         let batch = eval_batch(&case.material, &pairs).into_iter().flat_map(|f| f.to_array());
         write(&path.with_extension("f.raw"), batch.collect())?;
         let singles = pairs.iter().flat_map(|&(l, v)| case.material.eval(l, v).to_array());
@@ -36,5 +40,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             pairs.iter().map(|&(l, v)| case.material.pdf(l, v)).collect(),
         )?;
     }
+    std::fs::write(directory.join("files.txt"), files)?;
     Ok(())
 }

@@ -16,12 +16,16 @@ use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::nbrdf::{self, Nbrdf};
 use glimt_core::network::{Activation, Layer, Network};
 use glimt_core::neural::{self, Neural, Shared};
+
+use glimt_core::sampler::SamplerChoice;
 use glimt_core::spherical::pixelation::Pixelation;
 use glimt_core::spherical::store::Store;
 use glimt_core::spherical::tables::{self, Grids, Layout};
 use glimt_core::spherical::{self, Features, Spherical};
+use glimt_core::tabulated::Tabulated;
 use glimt_core::{Library, Material, Model};
 
+use crate::measurements;
 use crate::stability::{nudged_layer, nudged_network};
 
 /// A light and a view.
@@ -36,11 +40,44 @@ pub struct Family {
 }
 
 /// A material that is extreme in some way.
+#[derive(Clone)]
 pub struct Case {
     /// What is extreme about it.
     pub name: String,
     /// The material.
     pub material: Material,
+    /// Its sampler as commands and scenes ask for it; empty for the one that it comes with.
+    pub sampler: &'static str,
+    /// The file of a measurement; models are saved as libraries.
+    pub file: Option<MeasuredFile>,
+}
+
+/// A measurement's file.
+#[derive(Clone)]
+pub struct MeasuredFile {
+    /// That of its name, by which the format is told where its content does not.
+    pub extension: &'static str,
+    /// Its content.
+    pub bytes: Vec<u8>,
+}
+
+impl Case {
+    /// A material with its own sampler.
+    #[must_use]
+    pub fn new(name: String, material: Material) -> Case {
+        Case { name, material, sampler: "", file: None }
+    }
+
+    /// The same material with another sampler, see [`SamplerChoice`].
+    ///
+    /// # Panics
+    /// If there is no such sampler.
+    #[must_use]
+    pub fn sampled(&self, sampler: &'static str) -> Case {
+        let choice: SamplerChoice = sampler.parse().expect("the name of a sampler");
+        let name = format!("{}, sampled by {sampler}", self.name);
+        Case { name, material: self.material.with_sampler(choice), sampler, file: self.file.clone() }
+    }
 }
 
 /// A kind of model.
@@ -54,7 +91,7 @@ pub struct Kind {
 }
 
 /// Every kind of model. A new one is covered by a line here and its reference in [`reference`].
-pub const KINDS: [Kind; 7] = [
+pub const KINDS: [Kind; 8] = [
     Kind { name: Ggx::KIND, cases: ggx_cases, budget: 4.0 },
     Kind { name: Hybrid::KIND, cases: hybrid_cases, budget: 8.0 },
     Kind { name: Neural::KIND, cases: neural_cases, budget: 4.0 },
@@ -63,6 +100,7 @@ pub const KINDS: [Kind; 7] = [
     Kind { name: Factor::KIND, cases: factor_cases, budget: 32.0 },
     Kind { name: Analytic::KIND, cases: analytic_cases, budget: 0.0 },
     Kind { name: Spherical::KIND, cases: spherical_cases, budget: 0.0 },
+    Kind { name: Tabulated::KIND, cases: measurements::cases, budget: 0.0 },
 ];
 
 /// f of a pair above the horizon by the model's float64 reference; `None` for kinds that have
@@ -121,17 +159,27 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
     Some(nudged.expect("numbers stay in their ranges"))
 }
 
-/// Writes every material of the catalogue to `directory` as a library of its own, which it names.
+/// Writes every material of the catalogue to `directory` as a file of its own, which it names: a measurement
+/// in its format, a model as a library. Its sampler is not in the file.
 ///
 /// # Errors
-/// See [`Library::save`].
-pub fn save_libraries(directory: &Path) -> Result<Vec<(PathBuf, Case)>, glimt_core::Error> {
+/// [`glimt_core::Error::Write`].
+pub fn save_files(directory: &Path) -> Result<Vec<(PathBuf, Case)>, glimt_core::Error> {
     let mut saved = Vec::new();
     for kind in KINDS {
         for (i, case) in (kind.cases)().into_iter().enumerate() {
-            let path = directory.join(format!("{}-{i}.safetensors", kind.name));
-            let (name, material) = (case.name.clone(), case.material.clone());
-            Library::new(&path, vec![Entry { name, material, origin: Origin::default() }])?.save()?;
+            let path = directory.join(format!("{}-{i}", kind.name));
+            let path = if let Some(MeasuredFile { extension, bytes }) = &case.file {
+                let path = path.with_extension(extension);
+                let written = std::fs::write(&path, bytes);
+                written.map_err(|source| glimt_core::Error::Write { path: path.clone(), source })?;
+                path
+            } else {
+                let path = path.with_extension("safetensors");
+                let (name, material) = (case.name.clone(), case.material.clone());
+                Library::new(&path, vec![Entry { name, material, origin: Origin::default() }])?.save()?;
+                path
+            };
             saved.push((path, case));
         }
     }
@@ -367,7 +415,7 @@ fn ggx_cases() -> Vec<Case> {
     let mut cases = Vec::new();
     let mut add = |name: String, microfacet| {
         let material = Ggx::new(microfacet).expect("parameters are in their ranges").into();
-        cases.push(Case { name, material });
+        cases.push(Case::new(name, material));
     };
     for alpha in [MIN_ALPHA, 1e-3, 1e-2, 0.1, 1.0] {
         for eta in [1.0, 1.0 + f32::EPSILON, 1.5, ETA_RANGE[1]] {
@@ -379,6 +427,9 @@ fn ggx_cases() -> Vec<Case> {
         let name = format!("alpha {:e} by {:e}", alpha[0], alpha[1]);
         add(name, Microfacet { kd: [0.0; 3], eta: [1.0 + 1e-3, 2.0, 5.0], alpha });
     }
+    // The narrowest lobe, and the narrowest in one direction.
+    let narrow = [0, cases.len() - 3].map(|i| cases[i].sampled("table"));
+    cases.extend(narrow);
     cases
 }
 
@@ -477,7 +528,7 @@ fn hybrid_cases() -> Vec<Case> {
         let wide = if form.inputs.is_isotropic() { alpha } else { (2.0 * alpha).min(1.0) };
         let microfacet = Microfacet { kd: [0.0, 0.3, 1.0], eta: [eta; 3], alpha: [alpha, wide] };
         let material = Hybrid::new(form, Arc::new(network), microfacet, weights.latent(4), weights.bound());
-        cases.push(Case { name, material: material.expect("the parts fit together").into() });
+        cases.push(Case::new(name, material.expect("the parts fit together").into()));
     };
     for inputs in ALL_INPUTS {
         add(format!("{inputs:?}"), Form { inputs, ..Form::PAPER }, Weights::Ordinary, 0.2, 1.5);
@@ -513,6 +564,10 @@ fn hybrid_cases() -> Vec<Case> {
             );
         }
     }
+    // Weights at the limit of float16: f as uneven as it can be.
+    let uneven =
+        cases.iter().find(|case| case.name.starts_with("LargestHalf")).map(|case| case.sampled("table"));
+    cases.extend(uneven);
     cases
 }
 
@@ -526,7 +581,7 @@ fn neural_cases() -> Vec<Case> {
         };
         let shared = Arc::new(Shared { network, frames });
         let material = Neural::new(shared, weights.latent(12), weights.bound());
-        Case { name: format!("{weights:?}"), material: material.expect("the parts fit together").into() }
+        Case::new(format!("{weights:?}"), material.expect("the parts fit together").into())
     };
     WEIGHTS.map(case).into()
 }
@@ -536,7 +591,7 @@ fn nbrdf_cases() -> Vec<Case> {
         let sizes = [nbrdf::FEATURES, nbrdf::WIDTH, nbrdf::WIDTH, 3];
         let network = weights.network(&sizes, nbrdf::FEATURES, Activation::Relu);
         let material = Nbrdf::new(Arc::new(network)).expect("the parts fit together");
-        Case { name: format!("{weights:?}"), material: material.into() }
+        Case::new(format!("{weights:?}"), material.into())
     };
     // These have no latent code.
     WEIGHTS.into_iter().filter(|&weights| weights != Weights::LargeLatent).map(case).collect()
@@ -553,7 +608,7 @@ fn factor_cases() -> Vec<Case> {
         for interpolation in [Interpolation::Linear, Interpolation::Nearest] {
             let name = format!("{:?}, {interpolation:?}, {name}", factors.variant());
             let material = Factor::new(factors.clone(), interpolation).expect("numbers are in their ranges");
-            cases.push(Case { name, material: material.into() });
+            cases.push(Case::new(name, material.into()));
         }
     };
     let lobe = |x: f32| (-20.0 * x * x).exp();
@@ -571,6 +626,8 @@ fn factor_cases() -> Vec<Case> {
         "steep",
         Factors::Bivariate((0..bins).map(|i| [MAX_SCALE * lobe(i as f32 / 500.0), 0.0, 1e-30]).collect()),
     );
+    let tables: Vec<Case> = cases.iter().step_by(6).map(|case| case.sampled("table")).collect();
+    cases.extend(tables);
     cases
 }
 
@@ -600,7 +657,7 @@ fn analytic_cases() -> Vec<Case> {
         .map(|specular| {
             let name = format!("{specular:?}");
             let material = Analytic::new(Parameters { diffuse: [0.0, 0.5, 1.0], specular });
-            Case { name, material: material.expect("parameters are in their ranges").into() }
+            Case::new(name, material.expect("parameters are in their ranges").into())
         })
         .collect()
 }
@@ -619,7 +676,7 @@ fn spherical_cases() -> Vec<Case> {
             Features { store: Store::F32(layout.places().iter().flat_map(row).collect()), links: None };
         let bound = if weights == Weights::Ordinary { 6.0 } else { spherical::MAX_BOUND };
         let material = Spherical::new(layout, Arc::new(network), features, bound);
-        cases.push(Case { name, material: material.expect("the parts fit together").into() });
+        cases.push(Case::new(name, material.expect("the parts fit together").into()));
     };
     let form = tables::Form {
         grids: Grids::Iso,

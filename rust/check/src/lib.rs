@@ -6,7 +6,7 @@
 //! [`consistency`], [`sampling`], [`energy`], [`components`], [`symmetry`]; [`audit`] sees every answer.
 //! [`verdict`] says what findings mean, [`report`] and [`page`] show them.
 //!
-//! Numerical stability: [`extremes`] is the catalogue, [`stability`] runs it, [`random_pairs`] goes beyond it,
+//! Numerical stability: [`extremes`] is the catalogue, [`measurements`] its files, [`stability`] runs it, [`random_pairs`] goes beyond it,
 //! [`functions`] measures the core's functions; all of them in the units of [`accuracy`].
 
 pub mod accuracy;
@@ -19,6 +19,7 @@ pub mod extremes;
 pub mod functions;
 pub mod horizon;
 pub mod look;
+pub mod measurements;
 pub mod page;
 pub mod picture;
 pub mod random_pairs;

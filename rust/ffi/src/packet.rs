@@ -340,8 +340,8 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let pairs: Vec<(Vec3, Vec3)> = extremes::families().into_iter().flat_map(|f| f.pairs).collect();
-        for (path, case) in extremes::save_libraries(folder.path()).unwrap() {
-            let material = open(path.to_str().unwrap(), "", "").unwrap();
+        for (path, case) in extremes::save_files(folder.path()).unwrap() {
+            let material = open(path.to_str().unwrap(), "", case.sampler).unwrap();
             check::<4>(&material, &pairs, &case.name);
             check::<8>(&material, &pairs, &case.name);
             check::<16>(&material, &pairs, &case.name);

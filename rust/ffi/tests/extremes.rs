@@ -95,7 +95,9 @@ fn check(held: &Held, case: &Case, pairs: &[extremes::Pair]) {
 fn extreme_inputs_have_the_bits_of_the_core() {
     let folder = tempfile::tempdir().unwrap();
     let families = extremes::families();
-    for (path, case) in extremes::save_libraries(folder.path()).unwrap() {
+    // C asks for no sampler: materials have that with which they come.
+    let files = extremes::save_files(folder.path()).unwrap().into_iter();
+    for (path, case) in files.filter(|(_, case)| case.sampler.is_empty()) {
         let held = Held::open(&path);
         for family in &families {
             check(&held, &case, &family.pairs);
@@ -110,7 +112,7 @@ fn extreme_inputs_have_the_bits_of_the_core() {
 fn an_enormous_batch_has_the_bits_of_small_ones() {
     const N: usize = 10_000_000;
     let folder = tempfile::tempdir().unwrap();
-    let (path, case) = extremes::save_libraries(folder.path()).unwrap().swap_remove(0);
+    let (path, case) = extremes::save_files(folder.path()).unwrap().swap_remove(0);
     let held = Held::open(&path);
     let pairs: Vec<extremes::Pair> =
         extremes::families().into_iter().flat_map(|family| family.pairs).collect();

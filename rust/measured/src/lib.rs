@@ -25,5 +25,5 @@ pub use error::Error;
 pub use measured::Measured;
 pub use merl::{Merl, write_merl};
 pub use rgl::Rgl;
-pub use rgl_write::write_rgl;
+pub use rgl_write::{rgl_bytes, write_rgl};
 pub use utia::{Utia, write_utia};

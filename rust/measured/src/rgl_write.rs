@@ -68,7 +68,13 @@ pub fn write_rgl(
     isotropic: bool,
     description: &str,
 ) -> Result<(), Error> {
-    file::write(path.as_ref(), &to_file(brdf, &Layout::new(isotropic), description).to_bytes())
+    file::write(path.as_ref(), &rgl_bytes(brdf, isotropic, description))
+}
+
+/// The bytes that [`write_rgl`] writes.
+#[must_use]
+pub fn rgl_bytes(brdf: &dyn Brdf, isotropic: bool, description: &str) -> Vec<u8> {
+    to_file(brdf, &Layout::new(isotropic), description).to_bytes()
 }
 
 fn to_file(brdf: &dyn Brdf, layout: &Layout, description: &str) -> TensorFile<'static> {

@@ -203,7 +203,9 @@ pub fn write_utia(path: impl AsRef<Path>, brdf: &dyn Brdf, encoding: Encoding) -
     file::write(path.as_ref(), &to_bytes(brdf, encoding))
 }
 
-fn to_bytes(brdf: &dyn Brdf, encoding: Encoding) -> Vec<u8> {
+/// The bytes that [`write_utia`] writes.
+#[must_use]
+pub fn to_bytes(brdf: &dyn Brdf, encoding: Encoding) -> Vec<u8> {
     let mut bytes = vec![0; FILE_SIZE];
     for pair in 0..PLANE {
         let f = brdf.eval(direction(pair / DIRECTIONS), direction(pair % DIRECTIONS));
