@@ -35,11 +35,20 @@ pub struct SampledAt {
     pub pdf: f32,
 }
 
+impl SampledAt {
+    /// Whether renderers use the sample. A weight of 0 is that of a black direction if response and density
+    /// there agree with it; one of both may by chance.
+    fn succeeded(&self) -> bool {
+        let is_black = || self.response == Vec3::ZERO && relative(self.draw.pdf, self.pdf, FLOOR) < OF_SAMPLE;
+        self.draw.weight != Vec3::ZERO || is_black()
+    }
+}
+
 impl Look {
     /// Draws samples for `view` and cuts the sphere.
     ///
-    /// A sample failed if its density is 0, or if its weight is 0 and pdf() knows nothing of it: renderers drop
-    /// both, and many BSDFs return what their formulas gave beyond the horizon.
+    /// A sample failed if its density is 0, or if its weight is 0 where pdf() or the response are other than it
+    /// says: renderers drop both, and many BSDFs return what their formulas gave beyond the horizon.
     ///
     /// # Errors
     /// The subject's.
@@ -68,9 +77,8 @@ impl Look {
             let lights: Vec<Vec3> = smooth.iter().map(|draw| draw.light).collect();
             let (response, pdf) = subject.response_and_pdf(part, &lights, &vec![direction; lights.len()])?;
             let answers = smooth.into_iter().zip(response.into_iter().zip(pdf));
-            samples.extend(answers.map(|(draw, (response, pdf))| SampledAt { draw, response, pdf }).filter(
-                |at| at.draw.weight != Vec3::ZERO || relative(at.draw.pdf, at.pdf, FLOOR) < OF_SAMPLE,
-            ));
+            let answers = answers.map(|(draw, (response, pdf))| SampledAt { draw, response, pdf });
+            samples.extend(answers.filter(SampledAt::succeeded));
         }
         let lights: Vec<Vec3> = samples.iter().map(|at| at.draw.light).collect();
         let cells = Cells::new(subject, part, direction, &lights, options.samples, options.resolution)?;

@@ -20,6 +20,7 @@ enum Bug {
     WeightWithoutPdf,
     WeightClamped,
     WeightWrongAtGrazing,
+    WeightLost,
     PdfTooLarge,
     PdfMissesTerm,
     PdfSwapped,
@@ -177,6 +178,7 @@ impl Mutant {
             Bug::WeightWithoutPdf => weight * pdf,
             Bug::WeightClamped => weight.min(Vec3::splat(0.3)),
             Bug::WeightWrongAtGrazing if view.z < 0.2 => 1.2 * weight,
+            Bug::WeightLost if u.z < 0.05 => Vec3::ZERO,
             Bug::PdfOfSampleStale => response / (1.1 * pdf),
             _ => weight,
         };
@@ -230,12 +232,13 @@ impl Subject for Mutant {
 }
 
 /// Every bug and the test that must catch it, whatever others do.
-const CAUGHT_BY: [(Bug, Test); 32] = [
+const CAUGHT_BY: [(Bug, Test); 33] = [
     (Bug::WeightTooLarge, Test::Weight),
     (Bug::WeightWithoutCosine, Test::Weight),
     (Bug::WeightWithoutPdf, Test::Weight),
     (Bug::WeightClamped, Test::Weight),
     (Bug::WeightWrongAtGrazing, Test::Weight),
+    (Bug::WeightLost, Test::PdfIntegral),
     (Bug::PdfTooLarge, Test::PdfIntegral),
     (Bug::PdfMissesTerm, Test::ChiSquared),
     (Bug::PdfSwapped, Test::ChiSquared),
