@@ -16,7 +16,6 @@ use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::nbrdf::{self, Nbrdf};
 use glimt_core::network::{Activation, Layer, Network};
 use glimt_core::neural::{self, Neural, Shared};
-
 use glimt_core::sampler::SamplerChoice;
 use glimt_core::spherical::pixelation::Pixelation;
 use glimt_core::spherical::store::Store;

@@ -7,7 +7,7 @@ use glimt_core::Library;
 use glimt_fit::add::{ADD_STEPS, add};
 use glimt_fit::doubts;
 
-use crate::fitting::{self, Watch};
+use crate::fitting::{self, HoldOut, Watch};
 use crate::{inputs, output};
 
 /// Add materials to a hybrid library, whose network stays as it is
@@ -31,6 +31,8 @@ pub struct Arguments {
     /// Seed of all random numbers
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
+    #[command(flatten)]
+    hold_out: HoldOut,
     /// Print the errors as JSON
     #[arg(long)]
     json: bool,
@@ -41,7 +43,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.output.as_ref().unwrap_or(&arguments.library);
     output::check_writable(path)?;
     let library = Library::open(&arguments.library)?;
-    let sources = inputs::open(&arguments.files)?;
+    let mut sources = inputs::open(&arguments.files)?;
+    let held = arguments.hold_out.take(&mut sources, arguments.seed);
     let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
     let inputs = fitting::inputs(&sources, &fitting::command(&files), true)?;
 
@@ -54,7 +57,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         bail!("stopped; {} is as it was", path.display());
     };
     watch.finish();
-    fitting::measure(&mut added, &inputs);
+    fitting::measure(&mut added, &inputs, &held);
     Library::new(path, [library.entries(), &added].concat())?.save()?;
     fitting::print_errors(path, &added, arguments.json)
 }

@@ -1,5 +1,6 @@
 //! `glimt fit`: from measurements to a model library.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -11,6 +12,7 @@ use glimt_core::Library;
 use glimt_core::factor::Variant;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Origin};
+use glimt_files::Samples;
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
 use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
@@ -22,7 +24,7 @@ use glimt_fit::{
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
 
-use crate::fitting::{self, Watch};
+use crate::fitting::{self, HoldOut, Watch};
 use crate::simulated::Simulated;
 use crate::{Usage, inputs, output, spherical};
 
@@ -32,7 +34,8 @@ use crate::{Usage, inputs, output, spherical};
 /// (Ctrl-C) stops the fit and saves a checkpoint beside the output, and so does every minute of it; the same
 /// command with --resume goes on from it, to the same result. When the fit is done, its errors against the inputs are printed, over a
 /// million pairs of cosine-distributed directions, and stored in the library. Scattered samples are fitted to
-/// at their own directions, every sample counting the same, and the errors are the means over them.
+/// at their own directions, every sample counting the same, but for a tenth of them, over which the errors are
+/// the means.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Files, directories or globs to fit to
@@ -106,6 +109,8 @@ pub struct Arguments {
     /// Go on from the checkpoint of an interrupted fit
     #[arg(long)]
     resume: bool,
+    #[command(flatten)]
+    hold_out: HoldOut,
     /// Print the errors as JSON
     #[arg(long)]
     json: bool,
@@ -298,7 +303,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check_writable(path)?;
     let checkpoint_path = checkpoint_path(path);
     let resume = arguments.resume.then(|| Checkpoint::open(&checkpoint_path)).transpose()?;
-    let sources = inputs::open(&arguments.files)?;
+    let mut sources = inputs::open(&arguments.files)?;
+    let held = arguments.hold_out.take(&mut sources, arguments.seed);
     let command = fitting::command(&[&arguments.files[..], arguments.from_mitsuba.as_slice()].concat());
     let simulated = arguments
         .from_mitsuba
@@ -344,7 +350,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     watch.finish();
-    keep(arguments, &mut entries, &inputs)?;
+    keep(arguments, &mut entries, &inputs, &held)?;
     if arguments.resume || keeper.kept {
         // The library is written, so that a checkpoint which stays does no harm.
         let _ = std::fs::remove_file(&checkpoint_path);
@@ -378,14 +384,19 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
         entries.push(Entry { name: input.name.clone(), material: fit.factor.into(), origin });
         bar.inc(1);
     }
-    keep(arguments, &mut entries, &inputs)?;
+    keep(arguments, &mut entries, &inputs, &BTreeMap::new())?;
     fitting::print_errors(path, &entries, arguments.json)
 }
 
 /// Saves the library before it is measured, which takes a while, and again with its errors.
-fn keep(arguments: &Arguments, entries: &mut [Entry], inputs: &[Input]) -> Result<()> {
+fn keep(
+    arguments: &Arguments,
+    entries: &mut [Entry],
+    inputs: &[Input],
+    held: &BTreeMap<String, Samples>,
+) -> Result<()> {
     Library::new(&arguments.output, entries.to_vec())?.save()?;
-    fitting::measure(entries, inputs);
+    fitting::measure(entries, inputs, held);
     Library::new(&arguments.output, entries.to_vec())?.save()?;
     Ok(())
 }
@@ -424,4 +435,48 @@ fn checkpoint_path(output: &Path) -> PathBuf {
     let mut path = output.as_os_str().to_owned();
     path.push(".checkpoint");
     path.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glimt_fit::train::State;
+
+    #[test]
+    fn a_checkpoint_is_written_once_a_minute() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("lib.safetensors.checkpoint");
+        let options =
+            Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(100, 0) };
+        let at = |step| {
+            let options = options.clone();
+            let state = State { step, ..State::new(vec![1.0, 2.0]) };
+            move || Checkpoint { options, materials: Vec::new(), state }
+        };
+        let mut keeper = Keeper::new(&path);
+        keeper.keep(at(1));
+        assert!(!path.exists() && !keeper.kept);
+        let minute_ago =
+            || Instant::now().checked_sub(Keeper::INTERVAL).expect("the machine runs for a minute");
+        keeper.last = minute_ago();
+        keeper.keep(at(2));
+        assert!(keeper.kept);
+        assert_eq!(Checkpoint::open(&path).unwrap().state.step, 2);
+        keeper.keep(at(3));
+        assert_eq!(Checkpoint::open(&path).unwrap().state.step, 2);
+        keeper.last = minute_ago();
+        keeper.keep(at(4));
+        assert_eq!(Checkpoint::open(&path).unwrap().state.step, 4);
+    }
+
+    #[test]
+    fn a_checkpoint_that_cannot_be_written_is_no_end_of_the_fit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gone").join("lib.safetensors.checkpoint");
+        let mut keeper = Keeper { path: &path, last: Instant::now() - Keeper::INTERVAL, kept: false };
+        let options =
+            Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(100, 0) };
+        keeper.keep(|| Checkpoint { options, materials: Vec::new(), state: State::new(vec![1.0]) });
+        assert!(!keeper.kept);
+    }
 }

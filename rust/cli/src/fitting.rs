@@ -12,12 +12,41 @@ use glimt_core::library::{Entry, Origin};
 use glimt_core::{Brdf, Material};
 use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::Progress;
-use glimt_fit::{Input, Truth};
+use glimt_fit::{Input, Truth, held_out};
 use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
 use indicatif::ProgressBar;
 
 use crate::output;
+
+/// How fits to scattered samples are measured.
+#[derive(clap::Args)]
+pub struct HoldOut {
+    /// Share of scattered samples that is not fitted to, and at which the errors are measured; 0 fits to all and
+    /// measures there
+    #[arg(long = "hold-out", value_name = "SHARE", default_value_t = 0.1, value_parser = parse_share)]
+    share: f64,
+}
+
+fn parse_share(text: &str) -> Result<f64, String> {
+    let share = text.parse().ok().filter(|share| (0.0..=0.9).contains(share));
+    share.ok_or_else(|| "expected a number from 0 to 0.9".to_owned())
+}
+
+impl HoldOut {
+    /// Takes from every list of samples among `sources` what is not fitted to; by the materials' names.
+    pub fn take(&self, sources: &mut [Source], seed: u64) -> BTreeMap<String, Samples> {
+        let mut held = BTreeMap::new();
+        for source in sources {
+            let name = source.names().swap_remove(0);
+            if let Source::Samples { samples, .. } = source {
+                held.insert(name, samples.take(&held_out(samples.len(), self.share, seed)));
+            }
+        }
+        held.retain(|_, samples| !samples.is_empty());
+        held
+    }
+}
 
 /// The materials of `sources` to fit to. Scattered samples cannot tell their symmetry: `samples_isotropic`
 /// does.
@@ -120,14 +149,20 @@ impl Watch {
 /// Measures how far every entry is from the input that it was fitted to, and keeps the errors in it:
 /// of the model, of its analytic part alone where it has one besides (`analytic_…`), and of the input
 /// against itself with light and view exchanged (`swapped_…`), which is a measurement's own noise.
-/// Scattered samples are measured against at the samples themselves, and have no other order.
-pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
+/// Scattered samples have no other order. They are measured against at those that were `held` out, and besides at
+/// those that were fitted to (`fitted_…`); where none was held out, at the latter alone.
+pub fn measure(entries: &mut [Entry], inputs: &[Input], held: &BTreeMap<String, Samples>) {
     let protocol = Protocol::reference();
     let bar = output::progress_bar(entries.len(), "measure");
     for (entry, input) in entries.iter_mut().zip(inputs) {
-        let against = |model: &dyn Brdf| match input.truth {
+        let at_fitted = |model: &dyn Brdf| match input.truth {
             Truth::Brdf(brdf) => BrdfError::measure(brdf, model, &protocol),
             Truth::Samples { light, view, f } => BrdfError::at_samples(light, view, f, model),
+        };
+        let held = held.get(&input.name);
+        let against = |model: &dyn Brdf| match held {
+            Some(Samples { light, view, f, .. }) => BrdfError::at_samples(light, view, f, model),
+            None => at_fitted(model),
         };
         let error = against(&entry.material);
         let metrics = &mut entry.origin.metrics;
@@ -143,6 +178,12 @@ pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
             keep("analytic_smape", analytic.smape);
             keep("analytic_log_mae", analytic.log_mae);
         }
+        if let Some(held) = held {
+            let fitted = at_fitted(&entry.material);
+            keep("held_out", held.len() as f64);
+            keep("fitted_smape", fitted.smape);
+            keep("fitted_log_mae", fitted.log_mae);
+        }
         if let Truth::Brdf(brdf) = input.truth {
             let swapped = against(&Swapped(brdf));
             keep("swapped_smape", swapped.smape);
@@ -153,12 +194,15 @@ pub fn measure(entries: &mut [Entry], inputs: &[Input]) {
 }
 
 /// Columns of the table of errors: metric, heading, decimals.
-const COLUMNS: [(&str, &str, usize); 7] = [
+const COLUMNS: [(&str, &str, usize); 10] = [
     ("smape", "SMAPE", 4),
     ("log_mae", "log-MAE", 5),
     ("log_mse", "log-MSE", 6),
     ("analytic_smape", "analytic part: SMAPE", 4),
     ("analytic_log_mae", "log-MAE", 5),
+    ("held_out", "samples held out", 0),
+    ("fitted_smape", "at the others: SMAPE", 4),
+    ("fitted_log_mae", "log-MAE", 5),
     ("swapped_smape", "swapped: SMAPE", 4),
     ("swapped_log_mae", "log-MAE", 5),
 ];

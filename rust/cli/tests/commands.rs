@@ -238,6 +238,10 @@ fn scattered_samples_are_described_and_fitted_to() {
     let smape = json.split("\"smape\":").nth(1).unwrap().split([',', '}']).next().unwrap();
     assert!(smape.parse::<f64>().unwrap() < 0.01, "{json}");
     assert!(!json.contains("swapped"), "{json}");
+    assert!(json.contains("\"held_out\":44.0") && json.contains("fitted_smape"), "{json}");
+    let fit = ["fit", "--model", "ggx", "scan.csv", "-o", "scan.safetensors", "--json"];
+    let all = folder.succeeds(&[&fit[..], &["--hold-out", "0"]].concat());
+    assert!(!all.contains("held_out") && !all.contains("fitted"), "{all}");
 }
 
 #[test]

@@ -79,6 +79,24 @@ impl Samples {
         Ok(samples)
     }
 
+    /// Takes the samples out for which `is_taken` says so, which has an item for each.
+    #[must_use]
+    pub fn take(&mut self, is_taken: &[bool]) -> Samples {
+        fn split(values: &mut Vec<Vec3>, is_taken: &[bool]) -> Vec<Vec3> {
+            let of =
+                |wanted| values.iter().zip(is_taken).filter(move |&(_, &t)| t == wanted).map(|(&v, _)| v);
+            let (left, taken) = (of(false).collect(), of(true).collect());
+            *values = left;
+            taken
+        }
+        Samples {
+            light: split(&mut self.light, is_taken),
+            view: split(&mut self.view, is_taken),
+            f: split(&mut self.f, is_taken),
+            ..Samples::default()
+        }
+    }
+
     /// Number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -307,6 +325,15 @@ mod tests {
         let pairs = Array { shape: vec![1, 6], values: values[..6].to_vec() };
         let message = Samples::from_bytes(&pairs.to_bytes()).unwrap_err();
         assert!(message.contains("its shape is [1, 6], expected (n, 9)"), "{message}");
+    }
+
+    #[test]
+    fn samples_that_are_taken_out_leave_the_others() {
+        let csv = "0,0,1,0,0,1,1,1,1\n0,0,1,0,0,1,2,2,2\n0,0,1,0,0,1,3,3,3\n";
+        let mut samples = Samples::from_bytes(csv.as_bytes()).unwrap();
+        let taken = samples.take(&[false, true, false]);
+        assert_eq!((taken.f, taken.light.len()), (vec![Vec3::splat(2.0)], 1));
+        assert_eq!((samples.f, samples.view.len()), (vec![Vec3::ONE, Vec3::splat(3.0)], 2));
     }
 
     #[test]

@@ -29,4 +29,4 @@ pub use error::Error;
 pub use factor::{FactorFit, FactorOptions, fit_factor};
 pub use fit::{Doubt, Input, Outcome, Watch, doubts, fit};
 pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Recipe, SphericalOptions};
-pub use truth::Truth;
+pub use truth::{Truth, held_out};

@@ -94,6 +94,20 @@ impl Truth<'_> {
     }
 }
 
+/// Which of `count` samples to keep from a fit, so that it can be measured on what it has not seen: that share of
+/// them at random, rounded down, so that few samples are all fitted to.
+#[must_use]
+pub fn held_out(count: usize, share: f64, seed: u64) -> Vec<bool> {
+    // Another stream than that of the epochs.
+    const STREAM: u64 = 1 << 32;
+    let mut is_held = vec![false; count];
+    let held = (share * count as f64) as usize;
+    if held > 0 {
+        shuffled(count, mix(seed, STREAM), 0, held).into_iter().for_each(|i| is_held[i] = true);
+    }
+    is_held
+}
+
 /// The part of an endless sequence that belongs to an epoch: all numbers below `n` in random order, and
 /// again in another one.
 fn shuffled(n: usize, seed: u64, epoch: u64, count: usize) -> Vec<usize> {
@@ -130,6 +144,18 @@ fn take(order: &[usize], light: &[Vec3], view: &[Vec3], f: &[Vec3]) -> (PairBloc
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_share_of_the_samples_is_held_out_by_the_seed() {
+        let held = |count, share, seed| held_out(count, share, seed).iter().filter(|&&held| held).count();
+        assert_eq!(
+            [held(1000, 0.1, 3), held(448, 0.1, 3), held(9, 0.1, 3), held(50, 0.0, 3)],
+            [100, 44, 0, 0]
+        );
+        assert_eq!(held_out(50, 0.2, 1), held_out(50, 0.2, 1));
+        assert_ne!(held_out(50, 0.2, 1), held_out(50, 0.2, 2));
+        assert!(held_out(0, 0.5, 0).is_empty());
+    }
 
     #[test]
     fn every_round_goes_once_through_all_samples() {

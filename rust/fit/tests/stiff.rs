@@ -4,14 +4,18 @@
 use glimt_core::library::{Entry, Library};
 use glimt_core::microfacet::Microfacet;
 use glimt_fit::Model;
+use glimt_report::{BrdfError, Protocol};
 
 #[path = "../examples/stiff/cases.rs"]
 mod cases;
 #[path = "../examples/stiff/condition.rs"]
 mod condition;
+#[path = "../examples/stiff/eigen.rs"]
+mod eigen;
 
 use cases::{Case, Run, cases, models, rate, run};
-use condition::{condition, gauss_newton, scaled};
+use condition::gauss_newton;
+use eigen::{condition, eigenvalues, scaled};
 
 /// Materials besides the one in the crowd.
 const CROWD: usize = 6;
@@ -101,6 +105,37 @@ fn scaling_each_number_makes_the_analytic_hessian_tame() {
             scaled < plain && scaled < most,
             "k_d {kd}, eta {eta}, alpha {alpha}: {plain}, scaled {scaled}"
         );
+    }
+}
+
+#[test]
+fn eigenvalues_are_those_of_a_matrix_that_is_known() {
+    // 2 - 2 cos(kπ/(n + 1)): the second difference.
+    let n = 20;
+    let entry = |a: usize, b: usize| [2.0, -1.0, 0.0][a.abs_diff(b).min(2)];
+    let matrix = (0..n).map(|a| (0..n).map(|b| entry(a, b)).collect()).collect();
+    for (k, found) in eigenvalues(&matrix).into_iter().enumerate() {
+        let expected = 2.0 - 2.0 * (std::f64::consts::PI * (k + 1) as f64 / (n + 1) as f64).cos();
+        assert!((found - expected).abs() < 1e-12, "{found} for {expected}");
+    }
+}
+
+/// A metal whose lobe is a tenth as wide as any other, in a network that has a hundred cloths to learn.
+#[test]
+#[ignore = "long: a hundred and one materials, three models"]
+fn one_metal_against_a_hundred_cloths_keeps_its_lobe() {
+    let case = cases(100).pop().unwrap();
+    assert_eq!((case.name, case.materials.len()), ("one in a crowd", 101));
+    for (name, model) in models() {
+        let run = run(&case, &model, 1000, 1, rate(&model), PAIRS);
+        check(&case, &model, &run);
+        let metal = &run.entries[100].material;
+        let error = BrdfError::measure(&*case.materials[100], metal, &Protocol::seeded(9, PAIRS)).log_mae;
+        println!("{name}: log-MAE {:.5} over all, {error:.5} of the metal", run.log_mae);
+        if let Some(microfacet) = metal.microfacet() {
+            assert!((microfacet.alpha[0] / 0.03 - 1.0).abs() < 0.05, "{name}: alpha {}", microfacet.alpha[0]);
+            assert!(error < 0.02, "{name}: the metal's log-MAE is {error}");
+        }
     }
 }
 

@@ -20,9 +20,11 @@ use glimt_fit::{Model, analytic};
 
 mod cases;
 mod condition;
+mod eigen;
 
 use cases::{Run, cases, models, rate, run};
-use condition::{condition, gauss_newton, scaled};
+use condition::gauss_newton;
+use eigen::{condition, scaled};
 
 const PAIRS: usize = 20_000;
 const SEEDS: u64 = 8;

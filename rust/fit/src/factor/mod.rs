@@ -5,7 +5,12 @@
 //! least squares have a closed form, and the factors take turns. Each colour channel is fitted by itself.
 
 mod anderson;
+#[cfg(test)]
+mod condition;
 mod descent;
+#[cfg(test)]
+#[path = "../../examples/stiff/eigen.rs"]
+mod eigen;
 mod grid;
 mod masking;
 mod naive;
