@@ -125,7 +125,7 @@ fn section(subject: &Judged, index: usize, is_open: bool, threshold: f64) -> Str
     let open = if is_open { " open" } else { "" };
     let mut page = format!(
         "<details class=subject id=s{index}{open}><summary>{}<h2>{}</h2></summary><p>{}. {:.1} million answers in \
-         {:.1} s.</p><div class=wide><table><tr><th>verdict<th>test<th>checks<th>worst<th>where\n",
+         {:.1} s.</p><div class=wide><table class=tests><tr><th>verdict<th>test<th>checks<th>worst<th>where\n",
         chip(subject.verdict),
         escape(&subject.name),
         subject.claims.text(),

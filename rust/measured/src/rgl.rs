@@ -329,8 +329,12 @@ impl Fields<'_> {
     /// Positions of slices: strictly increasing, at least one.
     fn knots(&self, name: &str) -> Result<Vec<f32>, Error> {
         let (_, knots) = self.floats(name, 1)?;
-        if knots.is_empty() || knots.windows(2).any(|pair| pair[0] >= pair[1]) {
-            return Err(self.error(name, format!("{knots:?}"), "strictly increasing numbers"));
+        const EXPECTED: &str = "strictly increasing numbers";
+        if knots.is_empty() {
+            return Err(self.error(name, "none", EXPECTED));
+        }
+        if let Some(pair) = knots.windows(2).find(|pair| pair[0] >= pair[1]) {
+            return Err(self.error(name, format!("{} before {}", pair[0], pair[1]), EXPECTED));
         }
         Ok(knots)
     }

@@ -21,6 +21,10 @@ const VERSION: [u8; 2] = [1, 0];
 const ALIGNMENT: usize = 8;
 /// A field with an empty name and rank 0: lengths, type and offset.
 const SMALLEST_FIELD: usize = 2 + 2 + 1 + 8;
+/// Most axes of a tensor: those of the database have five.
+const MAX_RANK: usize = 8;
+/// Bytes of a name that an error quotes.
+const QUOTED: usize = 40;
 
 /// Element type of a tensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -155,6 +159,12 @@ impl<'a> TensorFile<'a> {
             fields.push(field);
             end = end.max(field_end);
         }
+        // Tensors that share their bytes would be more in memory than the file.
+        let total: usize = fields.iter().map(|field| field.data.len()).sum();
+        if total > bytes.len() {
+            let expected = format!("at most the file's {} bytes", bytes.len());
+            return Err(Error::invalid(path, "tensors", format!("{total} bytes"), expected));
+        }
         let end = end.max(header.at);
         if end != bytes.len() {
             return Err(Error::size(path, bytes.len(), end, "end of the last tensor"));
@@ -254,9 +264,15 @@ impl<'a> Cursor<'a, '_> {
         let name_length = self.u16("length of a field's name")? as usize;
         let name = self.take(name_length, "name of a field")?;
         let name = str::from_utf8(name)
-            .map_err(|_| Error::invalid(self.path, "name of a field", format!("{name:?}"), "UTF-8"))?
+            .map_err(|_| {
+                let found = name[..name.len().min(QUOTED)].escape_ascii();
+                Error::invalid(self.path, "name of a field", found, "UTF-8")
+            })?
             .to_owned();
         let rank = self.u16("rank of a field")? as usize;
+        if rank > MAX_RANK {
+            return Err(Error::invalid(self.path, "rank of a field", rank, format!("at most {MAX_RANK}")));
+        }
         let [code] = self.array("type of a field")?;
         let dtype = DType::from_code(code)
             .ok_or_else(|| Error::invalid(self.path, format!("type of field `{name}`"), code, "1 to 11"))?;
@@ -295,6 +311,24 @@ mod tests {
                 Field::from_f32("ndf", &[2, 2], &[1.0, 2.0, 3.0, 4.0]),
             ],
         }
+    }
+
+    #[test]
+    fn tensors_that_share_their_bytes_and_tensors_of_many_axes_are_refused() {
+        let numbers = [0.5; 100];
+        let field = |name: &str| Field::from_f32(name, &[100], &numbers);
+        let mut bytes = TensorFile { fields: vec![field("a"), field("b"), field("c")] }.to_bytes();
+        // An entry ends with the field's offset and its only extent.
+        let entry = 2 + 1 + 2 + 1 + 8 + 8;
+        let header = MAGIC.len() + VERSION.len() + size_of::<u32>();
+        let last = bytes[header + 3 * entry - 16..][..8].to_vec();
+        for i in 0..2 {
+            bytes[header + (i + 1) * entry - 16..][..8].copy_from_slice(&last);
+        }
+        let message = parse(&bytes).unwrap_err().to_string();
+        assert!(message.contains("1200 bytes"), "{message}");
+        let message = parse(&TensorFile { fields: vec![Field::from_f32("a", &[1; 9], &[0.5])] }.to_bytes());
+        assert!(message.unwrap_err().to_string().contains("rank of a field: found 9, expected at most 8"));
     }
 
     fn parse(bytes: &[u8]) -> Result<TensorFile<'_>, Error> {
