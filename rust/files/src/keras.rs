@@ -12,6 +12,13 @@ pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
 /// Deepest nesting of groups: Keras' own files have at most four levels.
 const MAX_DEPTH: usize = 8;
 
+/// Most groups that are looked into; Keras' own files have a dozen. A group may hold itself many times over.
+const MAX_GROUPS: usize = 256;
+
+/// Most names of groups and datasets times most entries of the trees that point to them. Trees may point to the
+/// same names again and again.
+const MAX_LISTED: usize = 1 << 16;
+
 /// Most numbers of an array: more than the weights of a layer of the widest network. A file need not hold
 /// what it claims, and is not believed beyond this.
 const MAX_NUMBERS: u64 = 1 << 14;
@@ -30,26 +37,70 @@ pub struct Dense {
 /// # Errors
 /// In words, a file that is broken or holds other types than float32.
 pub fn dense_layers(bytes: &[u8]) -> Result<Vec<Dense>, String> {
+    check_nodes(bytes)?;
     let file = Hdf5File::from_bytes(bytes).map_err(|error| error.to_string())?;
-    let mut layers = Vec::new();
     let root = file.root_group().map_err(|error| error.to_string())?;
-    collect(&root, 0, 0, &mut layers)?;
-    layers.sort_by_key(|&(number, _)| number);
-    Ok(layers.into_iter().map(|(_, layer)| layer).collect())
+    let mut found = Found::default();
+    found.collect(&root, 0, 0)?;
+    found.layers.sort_by_key(|&(number, _)| number);
+    Ok(found.layers.into_iter().map(|(_, layer)| layer).collect())
 }
 
-/// Adds the layers below `group`, each with the number that its name or that of a group around it ends in.
-fn collect(group: &Group, number: u64, depth: usize, layers: &mut Vec<(u64, Dense)>) -> Result<(), String> {
-    if depth > MAX_DEPTH {
-        return Err(format!("its groups are nested more than {MAX_DEPTH} deep"));
+/// Refuses files with which the HDF5 reader would take long or much memory: it makes room for as many names as a
+/// node claims to list, and follows trees wherever they lead.
+fn check_nodes(bytes: &[u8]) -> Result<(), String> {
+    /// Fewest bytes of a name's entry.
+    const ENTRY: usize = 32;
+    let number =
+        |at: usize| bytes.get(at..at + 2).map_or(0, |b| usize::from(u16::from_le_bytes([b[0], b[1]])));
+    let (mut names, mut children) = (0, 0);
+    for (at, signature) in bytes.windows(4).enumerate() {
+        if signature == b"SNOD" {
+            let claimed = number(at + 6);
+            if claimed * ENTRY > bytes.len() - at {
+                return Err(format!(
+                    "a node at {at} claims to list {claimed} names, and the file is shorter"
+                ));
+            }
+            names += claimed;
+        } else if signature == b"TREE" {
+            if bytes.get(at + 5).is_some_and(|&level| level > 0) {
+                return Err(format!("the tree at {at} has several levels, expected one"));
+            }
+            children += number(at + 6);
+        }
     }
-    let number = trailing_number(group.name()).unwrap_or(number);
-    let (groups, datasets) = group.members().map_err(|error| error.to_string())?;
-    let named = |name: &str| datasets.iter().find(|dataset| last_part(dataset.name()) == name);
-    if let (Some(kernel), Some(bias)) = (named("kernel:0"), named("bias:0")) {
-        layers.push((number, Dense { kernel: read(kernel)?, bias: read(bias)? }));
+    if names * children > MAX_LISTED {
+        return Err(format!("its trees point {children} times to {names} names, expected fewer of both"));
     }
-    groups.iter().try_for_each(|group| collect(group, number, depth + 1, layers))
+    Ok(())
+}
+
+/// What was found so far.
+#[derive(Default)]
+struct Found {
+    groups: usize,
+    layers: Vec<(u64, Dense)>,
+}
+
+impl Found {
+    /// Adds the layers below `group`, each with the number that its name or that of a group around it ends in.
+    fn collect(&mut self, group: &Group, number: u64, depth: usize) -> Result<(), String> {
+        if depth > MAX_DEPTH {
+            return Err(format!("its groups are nested more than {MAX_DEPTH} deep"));
+        }
+        self.groups += 1;
+        if self.groups > MAX_GROUPS {
+            return Err(format!("it has more than {MAX_GROUPS} groups"));
+        }
+        let number = trailing_number(group.name()).unwrap_or(number);
+        let (groups, datasets) = group.members().map_err(|error| error.to_string())?;
+        let named = |name: &str| datasets.iter().find(|dataset| last_part(dataset.name()) == name);
+        if let (Some(kernel), Some(bias)) = (named("kernel:0"), named("bias:0")) {
+            self.layers.push((number, Dense { kernel: read(kernel)?, bias: read(bias)? }));
+        }
+        groups.iter().try_for_each(|group| self.collect(group, number, depth + 1))
+    }
 }
 
 fn read(dataset: &Dataset) -> Result<Array, String> {
@@ -105,6 +156,15 @@ pub(crate) mod tests {
         let layers = dense_layers(&file(&datasets)).unwrap();
         assert_eq!(layers.iter().map(|layer| layer.kernel.clone()).collect::<Vec<_>>(), kernels);
         assert!(layers.iter().all(|layer| layer.bias == bias));
+    }
+
+    #[test]
+    fn nodes_that_claim_more_than_the_file_holds_are_refused() {
+        let refused = |node: &[u8]| check_nodes(&[node, &[0; 4000]].concat()).unwrap_err();
+        assert!(refused(b"SNOD\x01\0\xff\xff").contains("claims to list 65535 names"));
+        assert!(refused(b"TREE\0\x01\x02\0").contains("several levels"));
+        assert!(refused(b"SNOD\x01\0\x64\0TREE\0\0\xe8\x03").contains("1000 times to 100 names"));
+        assert_eq!(check_nodes(b"SNOD\x01\0\0\0 and SNOD"), Ok(()));
     }
 
     #[test]
