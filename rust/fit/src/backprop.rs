@@ -5,7 +5,7 @@
 //! product of two rows. All three are loops over fixed arrays, compiled for each instruction set.
 
 use glimt_core::dispatch;
-use glimt_core::network::{Activation, Layer};
+use glimt_core::network::{Activation, Layer, add_column};
 use glimt_core::simd::{LANES, Lane, Lanes, Vector};
 
 /// Columns of lanes in a block.
@@ -264,10 +264,7 @@ fn product_rows<I: Lanes<LANES>, const ROWS: usize>(
         }
     }
     for (x, weights) in x.iter().zip(matrix.chunks_exact(stride)) {
-        let (x, weights) = (isa.load(&x[column]), &weights[row..row + ROWS]);
-        for r in 0..ROWS {
-            sums[r] = isa.fma(isa.splat(weights[r]), x, sums[r]);
-        }
+        add_column(isa, &weights[row..], &x[column], &mut sums);
     }
     for r in 0..ROWS {
         isa.store(sums[r], &mut y[row + r][column]);

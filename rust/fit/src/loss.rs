@@ -37,10 +37,10 @@ impl Loss {
         if self.relative == 0.0 {
             return (value, slope);
         }
-        let sum = model + f + RELATIVE_FLOOR;
-        let difference = (model - f).magnitude();
-        let scale = sum.splat(2.0 * self.relative) / sum;
-        (value + difference * scale, slope + (sign * sum - difference) * scale / sum)
+        let inverse = (model + f + RELATIVE_FLOOR).reciprocal();
+        let share = (model - f).magnitude() * inverse;
+        let scale = 2.0 * self.relative;
+        (value + share * scale, slope + (sign - share) * inverse * scale)
     }
 }
 

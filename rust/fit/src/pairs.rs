@@ -145,7 +145,10 @@ pub fn evaluate(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
 
 fn evaluate_batch(brdf: &dyn Brdf, blocks: &[PairBlock]) -> Vec<TargetBlock> {
     let vectors = |rows: fn(&PairBlock) -> &[Row; 3]| -> Vec<Vec3> {
-        let at = |rows: &[Row; 3], i: usize| Vec3::from(rows.map(|row| row[i / LANES][i % LANES]));
+        let at = |[x, y, z]: &[Row; 3], i: usize| {
+            let (column, lane) = (i / LANES, i % LANES);
+            Vec3::new(x[column][lane], y[column][lane], z[column][lane])
+        };
         blocks.iter().flat_map(|block| (0..BLOCK).map(move |i| at(rows(block), i))).collect()
     };
     let (light, view) = (vectors(|block| &block.light), vectors(|block| &block.view));

@@ -7,6 +7,7 @@ mod packed;
 mod values;
 
 use crate::simd::{Isa, LANES, Lane, Lanes, Real};
+pub use packed::add_column;
 use packed::{LayerOfLanes, PackedLayer, Units};
 pub use values::{Bias, One, Rows};
 

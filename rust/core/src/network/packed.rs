@@ -257,9 +257,9 @@ impl PackedLayer {
     }
 }
 
-/// `sums[r]` += `weights[r]` x.
+/// `sums[r]` += `weights[r]` x: what every product of a matrix and lanes consists of, in training too.
 #[inline(always)]
-fn add_column<I: Lanes<L>, const L: usize, const ROWS: usize>(
+pub fn add_column<I: Lanes<L>, const L: usize, const ROWS: usize>(
     isa: I,
     weights: &[f32],
     x: &[f32; L],
