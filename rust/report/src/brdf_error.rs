@@ -174,6 +174,10 @@ impl Brdf for Swapped<'_> {
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
         self.0.eval(view, light)
     }
+
+    fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
+        self.0.eval_batch(view, light, out);
+    }
 }
 
 #[cfg(test)]

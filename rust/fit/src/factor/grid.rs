@@ -92,25 +92,28 @@ fn coordinates(sample: usize) -> (usize, usize, usize) {
 /// which are one sample here. 0 where a sample is left out; where f is not finite or negative, too.
 #[must_use]
 pub fn resample(brdf: &dyn Brdf) -> [Vec<f32>; 3] {
-    let rows: Vec<[[f32; AZIMUTH_BINS]; 3]> =
-        (0..ROWS).into_par_iter().map(|row| resample_row(brdf, row)).collect();
-    std::array::from_fn(|c| rows.iter().flat_map(|row| row[c]).collect())
+    let slabs: Vec<[Vec<f32>; 3]> =
+        (0..HALF_BINS).into_par_iter().map(|half| resample_slab(brdf, half)).collect();
+    std::array::from_fn(|c| slabs.iter().flat_map(|slab| &slab[c]).copied().collect())
 }
 
-fn resample_row(brdf: &dyn Brdf, row: usize) -> [[f32; AZIMUTH_BINS]; 3] {
-    let (half, diff) = (row / DIFF_BINS, row % DIFF_BINS);
-    let mut values = [[0.0; AZIMUTH_BINS]; 3];
-    let included: Vec<usize> =
-        (0..AZIMUTH_BINS).filter(|&azimuth| is_included(cosines(half, diff, azimuth))).collect();
+/// The samples of one θ_h: batches that are long enough for a `brdf` in another process.
+fn resample_slab(brdf: &dyn Brdf, half: usize) -> [Vec<f32>; 3] {
+    let places: Vec<(usize, usize)> = (0..DIFF_BINS)
+        .flat_map(|diff| (0..AZIMUTH_BINS).map(move |azimuth| (diff, azimuth)))
+        .filter(|&(diff, azimuth)| is_included(cosines(half, diff, azimuth)))
+        .collect();
     let (light, view): (Vec<Vec3>, Vec<Vec3>) =
-        included.iter().map(|&azimuth| directions(half, diff, azimuth)).unzip();
+        places.iter().map(|&(diff, azimuth)| directions(half, diff, azimuth)).unzip();
     let mut f = [vec![Vec3::ZERO; light.len()], vec![Vec3::ZERO; light.len()]];
     brdf.eval_batch(&light, &view, &mut f[0]);
     brdf.eval_batch(&view, &light, &mut f[1]);
-    for (i, &azimuth) in included.iter().enumerate() {
+    let mut values = [0; 3].map(|_| vec![0.0; DIFF_BINS * AZIMUTH_BINS]);
+    for (i, (diff, azimuth)) in places.into_iter().enumerate() {
         let mean = 0.5 * (f[0][i] + f[1][i]);
         for c in 0..3 {
-            values[c][azimuth] = if mean[c].is_finite() { mean[c].max(0.0) } else { 0.0 };
+            values[c][diff * AZIMUTH_BINS + azimuth] =
+                if mean[c].is_finite() { mean[c].max(0.0) } else { 0.0 };
         }
     }
     values

@@ -5,7 +5,7 @@
 //! then cost 8,100 rows each instead of 1.46 million samples.
 
 use glimt_core::dispatch;
-use glimt_core::factor::{DIFF_BINS, HALF_BINS};
+use glimt_core::factor::{DIFF_BINS, HALF_BINS, MAX_SCALE};
 
 /// Numbers from one θ_h to the next: the bins of θ_d and zeros that fill whole vectors.
 pub const STRIDE: usize = 96;
@@ -126,6 +126,12 @@ impl State {
         if b <= 0.0 {
             // A lobe that lowers f: there is none, but its scale stays positive so that it can return.
             b = f64::MIN_POSITIVE.sqrt();
+            a = quotient(fixed.value - b * x, fixed.weight, a).max(0.0);
+        }
+        // Where D and F have their maxima at angles that no pair of directions has together, ρ_s makes up for
+        // both, and a few fits would go beyond what a material takes.
+        if b > f64::from(MAX_SCALE) {
+            b = MAX_SCALE.into();
             a = quotient(fixed.value - b * x, fixed.weight, a).max(0.0);
         }
         (self.diffuse, self.specular) = (a, b);
