@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use glimt_check::{BrdfSubject, Claims, Options, Report};
+use glimt_core::Material;
+use glimt_core::sampler::SamplerChoice;
 use glimt_files::Source;
 
 use crate::{inputs, output};
@@ -21,6 +23,9 @@ pub struct Arguments {
     /// Name of one material; all if not given
     #[arg(long, value_name = "NAME")]
     material: Option<String>,
+    /// lobes, table, table:paper or table:VIEWSxRINGSxSECTORS [default: the materials' own]
+    #[arg(long, value_name = "SAMPLER")]
+    sampler: Option<SamplerChoice>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -41,11 +46,18 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         output::check_writable(page)?;
     }
     let options = Options { samples: arguments.samples as usize, seed: arguments.seed, ..Options::FULL };
-    let sources = inputs::open(&arguments.files)?;
-    let mut subjects = Vec::new();
-    for source in &sources {
-        subjects.extend(subjects_of(source, arguments.material.as_deref())?);
+    let mut materials = Vec::new();
+    for source in &inputs::open(&arguments.files)? {
+        materials.extend(materials_of(source, arguments)?);
     }
+    let subjects: Vec<BrdfSubject> = materials
+        .iter()
+        .map(|(name, material)| BrdfSubject {
+            name: name.clone(),
+            claims: Claims::of(material),
+            brdf: material,
+        })
+        .collect();
     let bar = output::progress_bar(subjects.len(), "check");
     let check = |subject| glimt_check::check(subject, &options);
     let checked = bar.wrap_iter(subjects.iter()).map(|subject| check(subject)).collect::<Result<_, _>>();
@@ -66,18 +78,17 @@ fn write_page(path: &Path, report: &Report) -> Result<()> {
         .with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The materials of a file, or the one of that name.
-fn subjects_of<'a>(source: &'a Source, name: Option<&str>) -> Result<Vec<BrdfSubject<'a>>> {
+/// The materials of a file by name, or the one that was asked for, with the sampler that was.
+fn materials_of(source: &Source, arguments: &Arguments) -> Result<Vec<(String, Material)>> {
     // There is nothing between scattered samples that could be tested, and that is the error.
     let library = source.library()?;
-    let entries = match name {
+    let entries = match &arguments.material {
         Some(name) => std::slice::from_ref(library.entry(Some(name))?),
         None => library.entries(),
     };
-    let subject = |entry: &'a glimt_core::library::Entry| BrdfSubject {
-        name: entry.name.clone(),
-        claims: Claims::of(&entry.material),
-        brdf: &entry.material,
+    let material = |material: &Material| match arguments.sampler {
+        Some(choice) => material.with_sampler(choice),
+        None => material.clone(),
     };
-    Ok(entries.iter().map(subject).collect())
+    Ok(entries.iter().map(|entry| (entry.name.clone(), material(&entry.material))).collect())
 }

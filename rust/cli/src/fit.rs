@@ -12,7 +12,7 @@ use glimt_core::Library;
 use glimt_core::factor::Variant;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Origin};
-use glimt_files::Samples;
+use glimt_files::{Samples, Source};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
 use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
@@ -293,6 +293,49 @@ impl Arguments {
     }
 }
 
+/// What is fitted to.
+enum Truths {
+    Files(Vec<Source>),
+    Simulated(Simulated),
+}
+
+impl Truths {
+    fn open(arguments: &Arguments) -> Result<Truths> {
+        Ok(match &arguments.from_mitsuba {
+            Some(scene) => {
+                let command = fitting::command(std::slice::from_ref(scene));
+                Truths::Simulated(Simulated::start(scene, arguments.bsdf.as_deref(), &command)?)
+            }
+            None => Truths::Files(inputs::open(&arguments.files)?),
+        })
+    }
+
+    /// Takes out of scattered samples what the fit is not to see.
+    fn hold_out(&mut self, arguments: &Arguments) -> BTreeMap<String, Samples> {
+        match self {
+            Truths::Files(sources) => arguments.hold_out.take(sources, arguments.seed),
+            Truths::Simulated(_) => BTreeMap::new(),
+        }
+    }
+
+    fn inputs(&self, arguments: &Arguments) -> Result<Vec<Input<'_>>> {
+        match self {
+            Truths::Files(sources) => {
+                fitting::inputs(sources, &fitting::command(&arguments.files), !arguments.anisotropic)
+            }
+            Truths::Simulated(bsdf) => Ok(vec![bsdf.input(arguments.anisotropic)]),
+        }
+    }
+
+    /// The error of a simulation that has ended, and of which every value since was 0.
+    fn go_on(&self) -> Result<()> {
+        match self {
+            Truths::Simulated(bsdf) => bsdf.failure().map_or(Ok(()), |failure| bail!("{failure}")),
+            Truths::Files(_) => Ok(()),
+        }
+    }
+}
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.check()?;
@@ -303,22 +346,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     output::check_writable(path)?;
     let checkpoint_path = checkpoint_path(path);
     let resume = arguments.resume.then(|| Checkpoint::open(&checkpoint_path)).transpose()?;
-    let mut sources = inputs::open(&arguments.files)?;
-    let held = arguments.hold_out.take(&mut sources, arguments.seed);
-    let command = fitting::command(&[&arguments.files[..], arguments.from_mitsuba.as_slice()].concat());
-    let simulated = arguments
-        .from_mitsuba
-        .as_ref()
-        .map(|scene| Simulated::start(scene, arguments.bsdf.as_deref(), &command))
-        .transpose()?;
-    let inputs = match &simulated {
-        Some(bsdf) => vec![bsdf.input(arguments.anisotropic)],
-        None => fitting::inputs(&sources, &command, !arguments.anisotropic)?,
-    };
-    let simulation_goes_on = || match simulated.as_ref().and_then(Simulated::failure) {
-        Some(failure) => bail!("{failure}"),
-        None => Ok(()),
-    };
+    let mut truths = Truths::open(arguments)?;
+    let held = truths.hold_out(arguments);
+    let inputs = truths.inputs(arguments)?;
     let (options, note) = arguments.options(&inputs)?;
 
     for doubt in doubts(&inputs) {
@@ -327,7 +357,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let mut watch = Watch::new()?;
     let mut keeper = Keeper::new(&checkpoint_path);
     let outcome = fit(&inputs, &options, resume, &mut |progress, state| {
-        if simulation_goes_on().is_err() {
+        if truths.go_on().is_err() {
             return ControlFlow::Break(());
         }
         if let Some(state) = state {
@@ -335,7 +365,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
         watch.report(progress)
     })?;
-    simulation_goes_on()?;
+    truths.go_on()?;
     let mut entries = match outcome {
         Outcome::Done(entries) => entries,
         Outcome::Stopped(None) => bail!("stopped before there was anything to save"),
@@ -365,8 +395,8 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
     let path = &arguments.output;
     output::check_writable(path)?;
-    let sources = inputs::open(&arguments.files)?;
-    let inputs = fitting::inputs(&sources, &fitting::command(&arguments.files), true)?;
+    let truths = Truths::open(arguments)?;
+    let inputs = truths.inputs(arguments)?;
     let bar = output::progress_bar(inputs.len(), "fit");
     let mut entries = Vec::new();
     for input in &inputs {
@@ -377,6 +407,7 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
             );
         };
         let fit = fit_factor(brdf, options);
+        truths.go_on()?;
         let mut origin = Origin { seed: Some(options.seed), ..input.origin.clone() };
         for (channel, trace) in ["red", "green", "blue"].into_iter().zip(&fit.traces) {
             origin.metrics.insert(format!("objective_{channel}"), trace[trace.len() - 1]);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Result;
+use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Sample, SampleBrdf, Vec3};
 use glimt_files::{Array, Source};
 use rand::{Rng, RngExt};
@@ -23,6 +24,9 @@ pub struct Arguments {
     /// Name of the material; not needed where the file holds one
     #[arg(long, value_name = "NAME")]
     material: Option<String>,
+    /// lobes, table, table:paper or table:VIEWSxRINGSxSECTORS [default: the material's own]
+    #[arg(long, value_name = "SAMPLER")]
+    sampler: Option<SamplerChoice>,
     /// View direction, above the horizon; it is normalised
     #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
     view: View,
@@ -64,9 +68,10 @@ const CHUNK: usize = 4096;
 pub fn run(arguments: &Arguments) -> Result<()> {
     output::check_writable(&arguments.output)?;
     let source = Source::open(&arguments.file)?;
-    let brdf = source.brdf(arguments.material.as_deref())?;
+    let material = source.brdf(arguments.material.as_deref())?;
+    let material = arguments.sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
     let count = arguments.count as usize;
-    let samples = sample(brdf, arguments.view.0, count, arguments.seed);
+    let samples = sample(&material, arguments.view.0, count, arguments.seed);
     let row = |s: Sample| [s.light.to_array().as_slice(), &[s.pdf], &s.weight.to_array()].concat();
     let values = samples.into_iter().flat_map(row).collect();
     Array { shape: vec![count, 7], values }.save(&arguments.output)?;

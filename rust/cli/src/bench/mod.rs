@@ -32,7 +32,7 @@ use ways::{PAIRS, Way, Workspace};
 /// one core; with --threads N, those of N threads stand beside them.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model libraries or NBRDF weights, of which the first material is measured; networks of random
+    /// Model libraries, measurements or NBRDF weights, of which the first material is measured; networks of random
     /// weights if not given
     #[arg(value_name = "FILE", conflicts_with_all = ["model", "net"])]
     files: Vec<PathBuf>,
@@ -94,7 +94,7 @@ fn cases(arguments: &Arguments) -> Result<Vec<Case>> {
 fn from_file(path: &PathBuf) -> Result<Case> {
     match Source::open(path)? {
         Source::Library(library) => Ok(Case::new(library.entries()[0].material.clone())),
-        _ => bail!("{} is no model library; measurements have no kernels to measure", path.display()),
+        Source::Samples { .. } => bail!("{} holds scattered samples, which answer no pair", path.display()),
     }
 }
 
