@@ -33,10 +33,17 @@ LIBRARIES = {
     "neural": {"kind": "neural"},
     "nbrdf": {"kind": "nbrdf"},
     "spherical": {"kind": "spherical"},
+    "factor": {"kind": "factor", "form": {"variant": "independent-g", "interpolation": "linear"}},
+    "factor_g_from_d": {"kind": "factor", "form": {"variant": "g-from-d", "interpolation": "nearest"}},
+    "factor_naive": {"kind": "factor", "form": {"variant": "naive", "interpolation": "linear"}},
+    "factor_bivariate": {"kind": "factor", "form": {"variant": "bivariate", "interpolation": "linear"}},
+    "analytic_ward": {"kind": "analytic", "form": {"lobe": "ward"}},
+    "analytic_gamma": {"kind": "analytic", "form": {"lobe": "shifted-gamma"}},
 }
 
 # Those that Dr.Jit can differentiate; the others are calls into the core.
-TRACED = [name for name, library in LIBRARIES.items() if library["kind"] != "spherical"]
+UNTRACED = ("spherical", "factor", "analytic")
+TRACED = [name for name, library in LIBRARIES.items() if library["kind"] not in UNTRACED]
 
 # Two small hemispheres of features, of lights and of views.
 SPHERICAL_FORM = {
@@ -85,15 +92,56 @@ def write_libraries(directory):
     }
 
 
+def factor_tensors(variant):
+    """The three materials as tables over 90 bins: a lobe, a Fresnel factor and a third factor each."""
+    bins = (np.arange(90) + 0.5) / 90
+    gloss = np.array([8.0, 60.0, 2.0])[:, None, None]  # orange, metal, rough
+    tint = np.array([1.0, 0.9, 0.7])[None, :, None]
+    ndf = np.exp(-gloss * bins**4) * np.ones_like(tint)
+    fresnel = (0.3 + 0.7 * bins**5) * np.ones_like(gloss * tint)
+    if variant == "bivariate":
+        lobe = gloss * tint * ndf
+        return {"bivariate": 0.05 + np.einsum("mch,mcd->mhdc", lobe, fresnel)}
+    tensors = {
+        "diffuse": np.array([kd for kd, _, _ in MICROFACET.values()]) / np.pi,
+        "specular": 0.1 * (gloss * tint)[..., 0],
+        "ndf": ndf,
+        "fresnel": fresnel,
+    }
+    if variant == "independent-g":
+        tensors["masking"] = (1 - bins**6) * np.ones_like(gloss * tint)
+    if variant == "naive":
+        azimuth = (np.arange(180) + 0.5) / 180 * np.pi
+        tensors["azimuth"] = (0.8 + 0.2 * np.cos(azimuth)) * np.ones_like(gloss * tint)
+    return tensors
+
+
+def analytic_tensors(lobe):
+    """The three materials as published models have them."""
+    diffuse = np.array([kd for kd, _, _ in MICROFACET.values()])
+    scale, roughness = np.full((3, 3), 0.2), np.array([[0.2], [0.1], [0.5]])
+    if lobe == "ward":
+        return {"diffuse": diffuse, "specular": np.hstack([scale, roughness])}
+    # α, p, F₀, F₁, K, λ, c, k and θ₀ of every channel, near those that are published for gold-metallic-paint.
+    numbers = [0.1, 0.8, 0.0, -1.0, 6.0, 2.7, 1e-7, 24.0, -0.3]
+    return {"diffuse": diffuse, "specular": np.hstack([scale, np.tile(np.repeat(numbers, 3), (3, 1))])}
+
+
 def write_library(
-    path, kind, inputs="cartesian", composition="gated-residual", analytic=False, anisotropic=False
+    path,
+    kind,
+    inputs="cartesian",
+    composition="gated-residual",
+    analytic=False,
+    anisotropic=False,
+    form=None,
 ):
     """A library of the given kind with random, but tame, materials."""
     rng = np.random.default_rng(7)
     materials = dict(MICROFACET, **BRUSHED) if anisotropic else dict(MICROFACET)
     if anisotropic:
         materials = {name: (kd, eta, (alpha * 2)[:2]) for name, (kd, eta, alpha) in materials.items()}
-    count, tensors, form = len(materials), {}, None
+    count, tensors = len(materials), {}
     if kind in ("ggx", "hybrid"):
         for i, name in enumerate(("kd", "eta", "alpha")):
             tensors[name] = np.array([parameters[i] for parameters in materials.values()])
@@ -120,6 +168,10 @@ def write_library(
         tensors = network_tensors(rng, [2 * k, 16, 16, 3], [2.0, 2.5, 3.0], leading=(1,))
         tensors["features"] = rng.normal(0, 0.5, (count * 2 * (6 * nside * (nside + 1) + 1), k))
         tensors["bound"] = np.full(count, 6.0)
+    if kind == "factor":
+        tensors = factor_tensors(form["variant"])
+    if kind == "analytic":
+        tensors = analytic_tensors(form["lobe"])
     header = {
         "format": 1,
         "kind": kind,

@@ -187,7 +187,7 @@ def test_polarized_variants_depolarize(libraries):
             assert np.allclose(entry, expected, rtol=1e-6), (row, column)
 
 
-@pytest.mark.parametrize("library", ["hybrid", "nbrdf", "neural"])
+@pytest.mark.parametrize("library", ["hybrid", "nbrdf", "neural", "factor", "analytic_ward"])
 def test_importance_transport_swaps_the_roles(libraries, library):
     mi.set_variant("llvm_ad_rgb")
     light, view = hemisphere(200, 10), hemisphere(200, 11)
@@ -207,10 +207,11 @@ def test_importance_transport_swaps_the_roles(libraries, library):
             assert np.allclose(weight, expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize("library", ["hybrid", "factor", "analytic_gamma"])
 @pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])
-def test_below_the_horizon_and_nan_give_zero(libraries, variant):
+def test_below_the_horizon_and_nan_give_zero(libraries, variant, library):
     mi.set_variant(variant)
-    bsdf, ctx = load(libraries["hybrid"]), mi.BSDFContext()
+    bsdf, ctx = load(libraries[library]), mi.BSDFContext()
     up, down, nan = [0.6, 0, 0.8], [0.6, 0, -0.8], [float("nan"), 0, 0.8]
     for wi, wo in ((down, up), (up, down), (down, down), (nan, up), (up, nan)):
         si = dr.zeros(mi.SurfaceInteraction3f)

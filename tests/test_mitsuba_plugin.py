@@ -129,18 +129,52 @@ def test_bad_input_is_told_in_words(libraries, variant, change, words):
         assert word in str(error.value)
 
 
-def test_broken_file_is_told_in_words(libraries, tmp_path):
+@pytest.mark.parametrize("library", ["hybrid", "factor", "factor_bivariate", "analytic_gamma"])
+def test_broken_file_is_told_in_words(libraries, tmp_path, library):
     mi.set_variant("scalar_rgb")
     broken = tmp_path / "broken.safetensors"
-    broken.write_bytes(libraries["hybrid"].read_bytes()[:-100])
+    broken.write_bytes(libraries[library].read_bytes()[:-100])
     with pytest.raises(RuntimeError, match=r"broken\.safetensors"):
+        load(broken)
+
+
+@pytest.mark.parametrize(
+    ("library", "before", "after", "words"),
+    [
+        ("factor", b'"independent-g\\"', b'"independent-h\\"', ["form", "independent-h", "g-from-d"]),
+        ("factor", b'"masking"', b'"maskinh"', ["masking"]),
+        ("factor_bivariate", b'"bivariate": {"dtype"', b'"bivariatf": {"dtype"', ["bivariate"]),
+        ("factor_naive", b"[3, 3, 180]", b"[3, 6, 090]", ["naive"]),
+        ("analytic_ward", b"ward", b"wart", ["wart", "cook-torrance"]),
+        ("analytic_ward", b"[3, 4]", b"[4, 3]", ["specular"]),
+    ],
+)
+def test_broken_tables_are_told_in_words(libraries, tmp_path, library, before, after, words):
+    mi.set_variant("scalar_rgb")
+    intact, broken = libraries[library].read_bytes(), tmp_path / "broken.safetensors"
+    assert before in intact and len(before) == len(after)
+    broken.write_bytes(intact.replace(before, after))
+    with pytest.raises(RuntimeError, match=r"broken\.safetensors") as error:
+        load(broken)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_numbers_out_of_range_are_told_in_words(libraries, tmp_path):
+    mi.set_variant("scalar_rgb")
+    broken = tmp_path / "broken.safetensors"
+    intact = libraries["factor"].read_bytes()
+    # The last tensor is the masking; a factor is at most 1.
+    broken.write_bytes(intact[:-4] + np.float32(1.5).tobytes())
+    with pytest.raises(RuntimeError, match=r"broken\.safetensors.*masking holds 1\.5.*from 0 to 1"):
         load(broken)
 
 
 def test_edit_of_a_model_without_analytic_part_is_an_error(libraries):
     mi.set_variant("scalar_rgb")
-    with pytest.raises(RuntimeError, match=r"kd.*nbrdf"):
-        load(libraries["nbrdf"], kd=0.5)
+    for kind in ("nbrdf", "factor", "analytic_ward"):
+        with pytest.raises(RuntimeError, match=rf"kd.*{kind.split('_')[0]}"):
+            load(libraries[kind], kd=0.5)
 
 
 @pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])

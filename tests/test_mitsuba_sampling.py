@@ -10,6 +10,10 @@ MATERIALS = [
     ("hybrid", "orange"),
     ("neural", "rough"),
     ("nbrdf", "metal"),
+    ("factor", "metal"),
+    ("factor_naive", "rough"),
+    ("analytic_ward", "orange"),
+    ("analytic_gamma", "orange"),
 ]
 # From the normal to grazing, at azimuths that favour no axis.
 VIEWS = [

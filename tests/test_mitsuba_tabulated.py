@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mitsuba_common import dr, hemisphere, interaction, load, mi, write_libraries
 
+VARIANTS = ["scalar_rgb", "scalar_spectral", "llvm_ad_rgb", "llvm_ad_mono", "llvm_ad_spectral_polarized"]
 MEASUREMENT = Path(__file__).parents[2] / "shared" / "data" / "rgl" / "chm_orange_rgb.bsdf"
 VIEWS = [(0.0, 0.0, 1.0), (0.48, 0.36, 0.8), (-0.86, 0.1, 0.5003)]
 
@@ -52,13 +53,68 @@ def test_measurements_answer_as_in_python(tables):
         assert "tabulated" in str(bsdf)
 
 
+def test_scalar_variant_is_the_in_kernel_call(tables):
+    n = 300
+    light, view = hemisphere(n, 4), hemisphere(n, 5)
+    u = np.random.default_rng(6).random((3, n), np.float32)
+    for name, file in tables.items():
+        mi.set_variant("llvm_ad_rgb")
+        bsdf, ctx, si = load(file, ""), mi.BSDFContext(), interaction(view)
+        value, pdf = (np.array(x) for x in bsdf.eval_pdf(ctx, si, mi.Vector3f(light)))
+        sample, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
+        wo, density, weight = np.array(sample.wo), np.array(sample.pdf), np.array(weight)
+        mi.set_variant("scalar_rgb")
+        bsdf, ctx, si = load(file, ""), mi.BSDFContext(), mi.SurfaceInteraction3f()
+        for i in range(n):
+            si.wi = view[:, i]
+            f_cos, p = bsdf.eval_pdf(ctx, si, light[:, i])
+            assert np.allclose(f_cos, value[:, i], rtol=1e-4, atol=1e-7), name
+            assert np.isclose(p, pdf[i], rtol=1e-5), name
+            sample, w = bsdf.sample(ctx, si, u[0, i], u[1:, i])
+            assert np.isclose(sample.pdf, density[i], rtol=1e-5), name
+            if sample.pdf > 0:
+                assert np.allclose(sample.wo, wo[:, i], atol=1e-6), name
+                assert np.allclose(w, weight[:, i], rtol=1e-3, atol=1e-6), name
+    mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_measurements_and_table_samplers_load_in_every_variant(libraries, tables, variant):
+    mi.set_variant(variant)
+    bsdfs = [load(file, "") for file in tables.values()]
+    bsdfs += [load(libraries[name], "metal", sampler="table:8x16x12") for name in ("hybrid", "factor_naive")]
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(0.36, 0.48, 0.8)
+    for bsdf in bsdfs:
+        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, mi.Vector3f(-0.36, -0.48, 0.8))
+        assert np.all(np.array(pdf) > 0) and np.max(np.array(value)) > 0, bsdf
+    mi.set_variant("llvm_ad_rgb")
+
+
+def test_weight_is_value_over_density(libraries, tables):
+    n = 20_000
+    ctx = mi.BSDFContext()
+    u, si = np.random.default_rng(1).random((3, n), np.float32), interaction(hemisphere(n, 2))
+    bsdfs = {name: load(file, "") for name, file in tables.items()}
+    bsdfs["table"] = load(libraries["factor"], "metal", sampler="table:12x24x16")
+    for name, bsdf in bsdfs.items():
+        sample, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
+        value, pdf = (np.array(x) for x in bsdf.eval_pdf(ctx, si, sample.wo))
+        valid = np.array(sample.pdf) > 0
+        assert valid.mean() > 0.7, name
+        assert np.allclose(np.array(sample.pdf)[valid], pdf[valid], rtol=1e-4), name
+        expected = np.where(valid, value, 0) / np.where(valid, pdf, 1)
+        assert np.allclose(np.array(weight), expected, rtol=1e-3, atol=1e-6), name
+
+
 def test_table_samples_follow_their_density(libraries, tables):
     from mitsuba.chi2 import BSDFAdapter, ChiSquareTest, SphericalDomain
 
     subjects = [
         {"filename": str(libraries["hybrid"]), "material": "orange", "sampler": "table:12x24x16"},
         {"filename": str(libraries["brushed"]), "material": "brushed", "sampler": "table:8x16x12"},
-        {"filename": str(tables["binary"])},
+        {"filename": str(libraries["factor"]), "material": "metal", "sampler": "table:paper"},
+        *({"filename": str(file)} for file in tables.values()),
     ]
     rejected = []
     for subject in subjects:
@@ -89,6 +145,35 @@ def test_derivatives_of_directions_are_detached(tables):
 def test_an_unknown_sampler_is_named(libraries):
     with pytest.raises(RuntimeError, match=r"tabel.*lobes, table"):
         load(libraries["ggx"], "metal", sampler="tabel")
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("binary", lambda data: data[: len(data) // 2], ["metal.binary", "expected"]),
+        ("binary", lambda data: b"\0" * 12 + data[12:], ["metal.binary"]),
+        ("bsdf", lambda data: data[:1000], ["metal.bsdf"]),
+        ("bsdf", lambda data: b"tensor_film\0" + data[12:], ["metal.bsdf"]),
+        ("bin", lambda data: data[:-4], ["metal.bin"]),
+    ],
+)
+def test_broken_measurements_are_told_in_words(tables, tmp_path, file, change, words):
+    broken = tmp_path / f"metal.{file}"
+    broken.write_bytes(change(tables[file].read_bytes()))
+    with pytest.raises(RuntimeError) as error:
+        load(broken, "")
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_what_a_measurement_does_not_have_is_told_in_words(tables):
+    with pytest.raises(RuntimeError, match=r'"gold".*it holds metal'):
+        load(tables["binary"], "gold")
+    with pytest.raises(RuntimeError, match=r"kd.*tabulated"):
+        load(tables["binary"], "", kd=0.5)
+    for sampler in ("warp", "table:8x16", "table:1x1x1"):
+        with pytest.raises(RuntimeError, match="expected"):
+            load(tables["binary"], "", sampler=sampler)
 
 
 def scene(bsdf):

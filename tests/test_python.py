@@ -137,11 +137,12 @@ def test_parameters_and_edits(orange):
 
 
 def test_models_without_an_analytic_part(libraries):
-    material = glimt.load(libraries["nbrdf"])["orange"]
-    assert material.kd is material.eta is material.alpha is None
-    assert material.latent.shape == (0,)
-    with pytest.raises(glimt.Error, match="nbrdf materials have no kd, eta or alpha"):
-        material.edit(kd=0.5)
+    for kind in ("nbrdf", "factor", "analytic_ward"):
+        material = glimt.load(libraries[kind])["orange"]
+        assert material.kd is material.eta is material.alpha is None
+        assert material.latent.shape == (0,)
+        with pytest.raises(glimt.Error, match=f"{material.kind} materials have no kd, eta or alpha"):
+            material.edit(kd=0.5)
 
 
 def test_errors_name_the_file_and_what_is_near(libraries, tmp_path):

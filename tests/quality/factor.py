@@ -14,10 +14,10 @@ the peak.
 """
 
 import argparse
-import json
 import subprocess
 from pathlib import Path
 
+import glimt
 import matplotlib.image
 import mitsuba as mi
 import numpy as np
@@ -57,7 +57,8 @@ def parse_arguments():
     parser.add_argument("--interpolation", default="linear", choices=["linear", "nearest"])
     parser.add_argument("--size", type=int, default=40, help="pixels of a picture's edge")
     parser.add_argument("--lights", type=int, default=2048, help="light directions a pixel")
-    parser.add_argument("--pictures", action="store_true", help="save the pictures")
+    parser.add_argument("--only", nargs="+", help="materials to measure; all if not given")
+    parser.add_argument("--pictures", action="store_true", help="save the pictures and what they miss")
     return parser.parse_args()
 
 
@@ -126,7 +127,8 @@ def evenly(n):
 class Scene:
     """Fixed pairs of directions and what each is worth for a pixel, for one truth, shape and light."""
 
-    def __init__(self, glimt, normals, light, lights, work):
+    def __init__(self, normals, light, lights):
+        self.lights = lights
         view = frame(normals)[:, :, 2]
         rng = np.random.default_rng(1)
         half = lights // 2
@@ -161,23 +163,14 @@ class Scene:
             density.append(
                 np.where(lit[:, None], light.radiance[light.cell(world)] * both[:, 2:3] / p[:, None], 0)
             )
-        light_directions = np.concatenate(directions)
-        self.pairs = work / "pairs.npy"
-        self.count = len(normals)
+        self.light = np.concatenate(directions).astype(np.float32)
+        self.view = np.repeat(view, lights, axis=0).astype(np.float32)
         self.worth = (np.concatenate(density) / lights).astype(np.float32)
-        np.save(
-            self.pairs,
-            np.concatenate([light_directions, np.repeat(view, lights, axis=0)], axis=1).astype("f4"),
-        )
-        self.glimt, self.work = glimt, work
 
-    def render(self, file, material=None):
+    def render(self, material):
         """Radiance of every pixel, (pixels, 3)."""
-        out = self.work / "f.npy"
-        command = [self.glimt, "eval", file, "--pairs", self.pairs, "-o", out]
-        run(command + (["--material", material] if material else []))
-        f = np.load(out) * self.worth
-        return f.reshape(self.count, -1, 3).sum(axis=1)
+        f = material.eval(self.light, self.view)
+        return (f * self.worth).reshape(-1, self.lights, 3).sum(axis=1, dtype=np.float64)
 
 
 def run(command):
@@ -192,55 +185,54 @@ def material_of(file):
     return file.name.split(".")[0]
 
 
-def names(glimt, file):
-    info = subprocess.run([glimt, "info", "--json", str(file)], check=True, capture_output=True, text=True)
-    return [material["name"] for material in json.loads(info.stdout)["materials"]]
-
-
 def models(arguments, truth):
-    """Files of every model of a material: name -> (file, material)."""
+    """Every model of a material: name -> material."""
     work, name = arguments.work, material_of(truth)
+    fits = {variant: ["factor", "--variant", variant] for variant in VARIANTS} | {"ggx": ["ggx"]}
     result = {}
-    for variant in VARIANTS:
-        file = work / f"{name}.{variant}.{arguments.interpolation}.safetensors"
+    for model, options in fits.items():
+        if model != "ggx":
+            options = [*options, "--interpolation", arguments.interpolation]
+        file = work / (".".join([name, model, *options[4:]]) + ".safetensors")
         if not file.exists():
-            options = ["--model", "factor", "--variant", variant, "--interpolation", arguments.interpolation]
-            run([arguments.glimt, "fit", *options, truth, "-o", file])
-        result[variant] = file, None
-    file = work / f"{name}.ggx.safetensors"
-    if not file.exists():
-        run([arguments.glimt, "fit", "--model", "ggx", truth, "-o", file])
-    result["ggx"] = file, None
+            run([arguments.glimt, "fit", "--model", *options, truth, "-o", file])
+        result[model] = glimt.load(file).material()
     for label, published in PUBLISHED.items() if arguments.fits and truth.suffix == ".binary" else ():
-        file = work / (published.removesuffix(".fit") + ".safetensors")
-        if not file.exists():
-            run([arguments.glimt, "convert", arguments.fits / published, file])
-        if name in names(arguments.glimt, file):
-            result[label] = file, name
+        library = glimt.load(arguments.fits / published)
+        if name in library:
+            result[label] = library[name]
     return result
 
 
 def save(path, images, inside):
-    """The pictures of one material side by side, tone-mapped alike."""
-    row = []
+    """The pictures of one material side by side; below them what each misses, four times as bright."""
     exposure = 0.8 / np.percentile(images[0], 95)
-    for image in images:
-        picture = np.ones((*inside.shape, 3))
-        picture[inside] = np.clip(image * exposure, 0, 1) ** (1 / 2.2)
-        row.append(np.kron(picture, np.ones((4, 4, 1))))
-    matplotlib.image.imsave(path, np.concatenate(row, axis=1))
+    rows = [images, [4 * np.abs(image - images[0]) for image in images]]
+    picture = []
+    for row in rows:
+        tiles = []
+        for image in row:
+            tile = np.ones((*inside.shape, 3))
+            tile[inside] = np.clip(image * exposure, 0, 1) ** (1 / 2.2)
+            tiles.append(np.kron(tile, np.ones((2, 2, 1))))
+        picture.append(np.concatenate(tiles, axis=1))
+    matplotlib.image.imsave(path, np.concatenate(picture))
+
+
+def cells(row, columns):
+    return "".join(f"{row[column]:13.1f}" if column in row else f"{'-':>13}" for column in columns)
 
 
 def table(title, results, columns):
-    print(f"\n{title}: PSNR in dB, mean over shapes and lights")
-    print(f"{'':24}" + "".join(f"{column[:12]:>13}" for column in columns))
-    for name, row in results.items():
-        print(f"{name:24}" + "".join(f"{row[c]:13.1f}" if c in row else f"{'-':>13}" for c in columns))
-    print(f"{'mean':24}", end="")
-    for column in columns:
-        values = [row[column] for row in results.values() if column in row]
-        print(f"{np.mean(values):13.1f}" if values else f"{'-':>13}", end="")
-    print(f"\n{'materials':24}" + "".join(f"{sum(c in r for r in results.values()):13}" for c in columns))
+    """The means over the materials."""
+    mean = {
+        column: np.mean([row[column] for row in results.values() if column in row])
+        for column in columns
+        if any(column in row for row in results.values())
+    }
+    print(f"{'mean':24}" + cells(mean, columns))
+    print(f"{'materials':24}" + "".join(f"{sum(c in r for r in results.values()):13}" for c in columns))
+    print(f"{title}: PSNR in dB, mean over shapes and lights\n")
 
 
 def main():
@@ -260,22 +252,27 @@ def main():
     for path in arguments.envmaps:
         light = Light(path)
         for shape, (normals, inside) in shapes(arguments.size).items():
-            scenes[shape, path.stem] = normals, inside, light
+            scenes[f"{shape}_{path.stem}"] = Scene(normals, light, arguments.lights), inside
     columns = [*VARIANTS, "ggx", *PUBLISHED]
+    print(f"{'':24}" + "".join(f"{column[:12]:>13}" for column in columns))
     for title, truths in groups.items():
-        results = {material_of(truth): {} for truth in truths}
-        for (shape, stem), (normals, inside, light) in scenes.items():
-            scene = Scene(arguments.glimt, normals, light, arguments.lights, arguments.work)
-            for truth in truths:
-                image = scene.render(truth)
-                pictures = [image]
-                for model, (file, material) in models(arguments, truth).items():
-                    pictures.append(scene.render(file, material))
-                    row = results[material_of(truth)]
-                    row[model] = row.get(model, 0) + psnr(image, pictures[-1]) / len(scenes)
+        results = {}
+        for truth in truths:
+            name = material_of(truth)
+            if arguments.only and name not in arguments.only:
+                continue
+            measured, materials, row = glimt.load(truth).material(), models(arguments, truth), {}
+            for label, (scene, inside) in scenes.items():
+                pictures = [scene.render(measured)]
+                for model, material in materials.items():
+                    pictures.append(scene.render(material))
+                    row[model] = row.get(model, 0) + psnr(pictures[0], pictures[-1]) / len(scenes)
                 if arguments.pictures:
-                    save(arguments.work / f"{material_of(truth)}_{shape}_{stem}.png", pictures, inside)
-        table(title, results, columns)
+                    save(arguments.work / f"{name}_{label}.png", pictures, inside)
+            results[name] = row
+            print(f"{name:24}" + cells(row, columns), flush=True)
+        if results:
+            table(title, results, columns)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def light(envmap):
     return {"type": "sunsky", "sun_direction": [0.5, -0.6, 0.6], "sun_aperture": 5.0}
 
 
-def render(bsdf, arguments):
+def render(bsdf, arguments, seed=1):
     """The image of a sphere with `bsdf`, linear RGB."""
     scene = mi.load_dict(
         {
@@ -59,7 +59,7 @@ def render(bsdf, arguments):
             "sphere": {"type": "sphere", "bsdf": bsdf},
         }
     )
-    return np.array(mi.render(scene, spp=arguments.spp, seed=1))[..., :3]
+    return np.array(mi.render(scene, spp=arguments.spp, seed=seed))[..., :3]
 
 
 def shown(image, exposure):
