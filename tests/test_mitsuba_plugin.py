@@ -144,7 +144,7 @@ def test_broken_file_is_told_in_words(libraries, tmp_path, library):
         ("factor", b'"independent-g\\"', b'"independent-h\\"', ["form", "independent-h", "g-from-d"]),
         ("factor", b'"masking"', b'"maskinh"', ["masking"]),
         ("factor_bivariate", b'"bivariate": {"dtype"', b'"bivariatf": {"dtype"', ["bivariate"]),
-        ("factor_naive", b"[3, 3, 180]", b"[3, 6, 090]", ["naive"]),
+        ("factor_naive", b"[3, 3, 180]", b"[3, 6,  90]", ["azimuth", "[3, 3, 180]"]),
         ("analytic_ward", b"ward", b"wart", ["wart", "cook-torrance"]),
         ("analytic_ward", b"[3, 4]", b"[4, 3]", ["specular"]),
     ],
