@@ -19,6 +19,7 @@ SPP = 64
 mi = pytest.importorskip("mitsuba")
 sys.path.insert(0, str(Path(__file__).parent / "harness"))
 import mitsuba_image  # noqa: E402
+from model_libraries import LIBRARIES, write_library  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +88,24 @@ def test_harness_and_mitsuba_agree_within_noise(command_line, harness, scene, tr
     code, measured = compare(command_line, harness, scene, truths(scene), files)
     assert code == 0, measured
     assert abs(measured["bias"]) < 0.05 * measured["mean"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("model", ["shipped", "ggx", "brushed", "hybrid", "neural", "nbrdf"])
+@pytest.mark.parametrize("scene", ["environment", "mesh", "texture", "interior"])
+def test_they_agree_at_256_samples_for_every_model(harness, scene, model, tmp_path):
+    definitions = []
+    if model != "shipped":
+        if scene == "interior":
+            pytest.skip("its surfaces name the materials of the shipped library")
+        library = write_library(tmp_path / "lib.safetensors", **LIBRARIES[model])
+        material = "brushed" if model == "brushed" else "orange"
+        definitions = ["-D", f"library={library}", "-D", f"material={material}"]
+    program = Path(__file__).parent / "harness" / "mitsuba_image.py"
+    command = [sys.executable, program, harness, SCENES / f"{scene}.xml", "--spp", "256", *definitions]
+    done = subprocess.run(command, capture_output=True, text=True)
+    print(f"{scene}, {model}: {done.stdout.splitlines()[-1] if done.stdout else done.stderr}")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("fault", ["cosine", "swap", "pdf"])

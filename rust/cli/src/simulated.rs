@@ -14,7 +14,7 @@ use glimt_fit::{Input, Truth};
 use serde::Deserialize;
 
 /// The environment variable that names the Python to use.
-const PYTHON: &str = "GLIMT_PYTHON";
+pub const PYTHON: &str = "GLIMT_PYTHON";
 
 /// A BSDF in a process of its own.
 pub struct Simulated {
@@ -153,7 +153,7 @@ impl Drop for Simulated {
 
 /// The Python to start: the one that the environment names, that of the environment in which this
 /// command is installed, or the system's.
-fn python() -> PathBuf {
+pub fn python() -> PathBuf {
     let beside =
         || Some(std::env::current_exe().ok()?.with_file_name("python3")).filter(|path| path.exists());
     let named = std::env::var_os(PYTHON).map(PathBuf::from);

@@ -87,8 +87,9 @@ fn fit_one(
             seconds
         }
     };
-    let library = Library::open(&path)?;
-    Ok(Model { fit_seconds: Some(seconds), ..Model::of_library(&library)? })
+    let mut model = Model::of_library(&Library::open(&path)?)?;
+    model.fit_seconds = Some(seconds);
+    Ok(model)
 }
 
 /// Runs `glimt fit`, going on from the checkpoint of an interrupted one. Returns its seconds.

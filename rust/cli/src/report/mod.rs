@@ -2,6 +2,7 @@
 
 mod cache;
 mod fits;
+mod frames;
 mod opponents;
 mod timing;
 
@@ -59,6 +60,10 @@ pub struct Arguments {
     /// Directions a pixel
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=65_536))]
     spp: u32,
+    /// Render whole frames of this material in Mitsuba, too: work precision of every model. Needs Python with mitsuba
+    /// and glimt
+    #[arg(long, value_name = "MATERIAL")]
+    frames: Option<String>,
     /// Rounds of timing, of which there is the median
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = clap::value_parser!(u16).range(1..))]
     rounds: u16,
@@ -94,11 +99,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let cache = Cache::new(directory.join("cache"), &settings, &arguments.envmap)?;
     let subjects = measure(&opponents, &lights, &settings, &cache)?;
+    let frames =
+        arguments.frames.as_ref().map(|name| frames::render(&opponents, name, &cache)).transpose()?;
     let study = Study {
         made: made(),
         settings,
         candidates: timing::candidates(&opponents, arguments.rounds),
         subjects,
+        frames,
     };
     write(directory, &study)
 }

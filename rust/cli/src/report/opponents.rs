@@ -25,6 +25,8 @@ pub struct Model {
     pub kind: &'static str,
     /// The file, or the first of several.
     pub file: PathBuf,
+    /// Where there are several, the file of every material.
+    files: Vec<PathBuf>,
     pub sha256: String,
     pub entries: Vec<Entry>,
     /// Bytes of tensors that a material has of its own, and that all share.
@@ -114,6 +116,11 @@ impl Opponents {
         Ok(())
     }
 
+    /// The measurement of a material.
+    pub fn truth(&self, name: &str) -> Option<&Truth> {
+        self.truths.iter().find(|truth| plain(&truth.name) == plain(name))
+    }
+
     /// The models that have a material of this name.
     pub fn against<'a>(&'a self, truth: &'a Truth) -> impl Iterator<Item = (&'a Model, &'a Entry)> {
         let entry =
@@ -138,10 +145,17 @@ impl Model {
             kind: library.kind(),
             file: library.path().to_owned(),
             sha256: sha256(library.path())?,
+            files: Vec::new(),
             entries: library.entries().to_vec(),
             bytes: library.tensor_bytes(),
             fit_seconds: None,
         })
+    }
+
+    /// The file that holds a material.
+    pub fn file_of(&self, material: &str) -> &Path {
+        let place = self.entries.iter().position(|entry| entry.name == material);
+        place.and_then(|place| self.files.get(place)).unwrap_or(&self.file)
     }
 
     /// Several files of one kind, called after it.
@@ -157,6 +171,7 @@ impl Model {
             kind: first.kind(),
             file: first.path().to_owned(),
             sha256: hashes,
+            files: libraries.iter().map(|library| library.path().to_owned()).collect(),
             entries: libraries.iter().flat_map(|library| library.entries().to_vec()).collect(),
             bytes: (own + shared, 0),
             fit_seconds: None,

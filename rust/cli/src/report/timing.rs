@@ -1,7 +1,5 @@
 //! How long each model takes.
 
-use std::collections::BTreeMap;
-
 use glimt_report::study::{Candidate, Time};
 use rayon::ThreadPoolBuilder;
 
@@ -49,6 +47,5 @@ fn candidate(model: &Model, times: &[Vec<f64>]) -> Candidate {
         shared_bytes: model.bytes.1,
         fit_seconds: model.fit_seconds,
         times: Way::ALL.into_iter().zip(times).map(time).collect(),
-        frames: BTreeMap::new(),
     }
 }

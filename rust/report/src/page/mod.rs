@@ -5,15 +5,16 @@ pub mod plot;
 use crate::brdf_error::GRAZING_DEGREES;
 use crate::study::curves::{ALBEDO_VIEWS, SLICE_VIEWS, slice_angles};
 use crate::study::noise::SAMPLE_COUNTS;
-use crate::study::{Candidate, Case, DIFFERENCE_SCALE, Study, Subject};
+use crate::study::{Candidate, Case, DIFFERENCE_SCALE, Frame, MEASUREMENT, Study, Subject};
 use plot::{Axes, Curve, Mark, Point, escape, lines, polar, scatter, short, standalone};
 
 /// Style of plots, in a page and in a file.
 const PLOT_STYLE: &str = include_str!("plot.css");
 /// Style of the page, light and dark.
 const STYLE: &str = include_str!("page.css");
-/// Colours that the style has for models.
+/// Colours that the style has for models, and for what is none.
 const COLOURS: usize = 10;
+const SAMPLER_COLOURS: usize = 4;
 
 /// A plot with what it shows.
 pub struct Plot {
@@ -107,7 +108,7 @@ fn marks(study: &Study) -> Vec<Mark> {
 }
 
 fn truth_mark() -> Mark {
-    Mark { class: "truth".into(), name: "measurement".into() }
+    Mark { class: "truth".into(), name: MEASUREMENT.into() }
 }
 
 /// Error against every cost, means over the materials.
@@ -167,7 +168,10 @@ fn variance(study: &Study, subjects: &[Subject], key: &str, of_what: &str) -> Pl
         subjects.iter().flat_map(|s| s.variance.keys()).collect();
     for (i, name) in names.into_iter().enumerate() {
         let values: Vec<&Vec<f64>> = subjects.iter().filter_map(|s| s.variance.get(name)).collect();
-        let mark = Mark { class: format!("sampler s{i}"), name: format!("measurement by {name}") };
+        let mark = Mark {
+            class: format!("sampler s{}", i % SAMPLER_COLOURS),
+            name: format!("measurement by {name}"),
+        };
         curves.push((mark, mean(&values)));
     }
     for mark in marks(study) {
@@ -187,6 +191,41 @@ fn variance(study: &Study, subjects: &[Subject], key: &str, of_what: &str) -> Pl
         ),
         legend: curves.into_iter().map(|(mark, _)| mark).collect(),
     }
+}
+
+/// Work precision in Mitsuba: error and noise of whole frames against their seconds.
+fn frames(study: &Study) -> Vec<Plot> {
+    let Some(frames) = &study.frames else { return Vec::new() };
+    let marks = marks(study);
+    let mark = |(i, name): (usize, &String)| match name.as_str() {
+        MEASUREMENT => truth_mark(),
+        _ => marks.iter().find(|mark| mark.name == *name).cloned().unwrap_or_else(|| Mark {
+            class: format!("sampler s{}", i % SAMPLER_COLOURS),
+            name: name.clone(),
+        }),
+    };
+    let mut plots = Vec::new();
+    for (variant, by_name) in &frames.variants {
+        let of = [
+            ("error", "RMSE to the measurement / mean", (|frame| frame.rmse) as fn(&Frame) -> f64),
+            ("noise", "RMSE to its own converged frame / mean", |frame| frame.noise),
+        ];
+        for (key, name, figure) in of {
+            let curve = |(i, (name, frames)): (usize, (&String, &Vec<Frame>))| {
+                (mark((i, name)), frames.iter().map(|frame| [frame.seconds, figure(frame)]).collect())
+            };
+            let curves: Vec<Curve> = by_name.iter().enumerate().map(curve).collect();
+            let spp: Vec<String> =
+                by_name.values().next().into_iter().flatten().map(|frame| frame.spp.to_string()).collect();
+            plots.push(Plot {
+                name: format!("frames-{}-{key}", file_name(variant)),
+                svg: lines(&curves, ["seconds a frame, one thread", name], Axes::Logarithmic),
+                caption: format!("{}, {variant}: {} samples a pixel", frames.material, spp.join(", ")),
+                legend: curves.into_iter().map(|(mark, _)| mark).collect(),
+            });
+        }
+    }
+    plots
 }
 
 /// The curves of one material.
@@ -230,6 +269,7 @@ fn curves(study: &Study, subject: &Subject) -> Vec<Plot> {
 pub fn plots(study: &Study) -> Vec<Plot> {
     let mut plots: Vec<Plot> = trade_offs(study).into_iter().flatten().collect();
     plots.push(variance(study, &study.subjects, "variance", "geometric means over the materials"));
+    plots.extend(frames(study));
     plots.extend(study.subjects.iter().flat_map(|subject| curves(study, subject)));
     plots
 }
@@ -264,6 +304,16 @@ pub fn html(study: &Study) -> String {
     page += &materials(study);
     let noise = variance(study, &study.subjects, "variance", "geometric means over the materials");
     page += &plots_section(study, "Noise", "What a renderer sees that samples the BRDF alone.", &[noise]);
+    let frames = frames(study);
+    if !frames.is_empty() {
+        page += &plots_section(
+            study,
+            "Work precision",
+            "A sphere on a floor under an even sky and a lamp, rendered by Mitsuba. The error falls with the noise and then stays \
+             at what the model cannot do. principled is fitted to nothing and stands for time and noise.",
+            &frames,
+        );
+    }
     for (i, subject) in study.subjects.iter().enumerate() {
         page += &section(study, subject, i == 0);
     }
@@ -321,11 +371,6 @@ fn models(study: &Study) -> String {
         let light = escape(light);
         page += &format!("<th>FLIP<br>{light}<th>PSNR<br>{light}");
     }
-    let variants: std::collections::BTreeSet<&String> =
-        study.candidates.iter().flat_map(|candidate| candidate.frames.keys()).collect();
-    for variant in &variants {
-        page += &format!("<th>frame, s<br>{}", escape(variant));
-    }
     for candidate in &study.candidates {
         page += &format!(
             "<tr><td>{}<td>{}<td>{}<td>{}",
@@ -352,10 +397,6 @@ fn models(study: &Study) -> String {
                 cell(mean(&|case| case.images[i].flip), 4),
                 cell(mean(&|case| case.images[i].difference.psnr), 1)
             );
-        }
-        for variant in &variants {
-            let frame = candidate.frames.get(*variant);
-            page += &format!("<td>{}", cell(frame.map(|frame| frame.seconds), 3));
         }
     }
     page + "</table></div></section>\n"

@@ -55,6 +55,8 @@ pub struct Study {
     pub candidates: Vec<Candidate>,
     /// The materials.
     pub subjects: Vec<Subject>,
+    /// Whole frames in a renderer, where they were asked for.
+    pub frames: Option<Frames>,
 }
 
 /// Who made a study, how, when and where: what every figure carries.
@@ -97,8 +99,6 @@ pub struct Candidate {
     pub fit_seconds: Option<f64>,
     /// Times of one core by way (batch, single, …), in ns.
     pub times: BTreeMap<String, Time>,
-    /// Whole frames in Mitsuba, by variant.
-    pub frames: BTreeMap<String, Frame>,
 }
 
 impl Candidate {
@@ -118,15 +118,29 @@ pub struct Time {
     pub quartiles: [f64; 2],
 }
 
-/// A frame that a renderer made.
+/// The name of the measurement where it stands beside models.
+pub const MEASUREMENT: &str = "measurement";
+
+/// Whole frames of one material in Mitsuba.
+#[derive(Clone, Debug, Serialize)]
+pub struct Frames {
+    /// The material.
+    pub material: String,
+    /// By Mitsuba's variant and the name of the BSDF.
+    pub variants: BTreeMap<String, BTreeMap<String, Vec<Frame>>>,
+}
+
+/// A frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Frame {
-    /// Median of the rounds, in seconds.
+    /// Samples a pixel.
+    pub spp: u32,
+    /// Median of the rounds.
     pub seconds: f64,
-    /// The same relative to the frame of the measurement itself in the same rounds.
-    pub over_measured: f64,
-    /// Root mean square difference to the measurement's frame, relative to its mean.
+    /// Root mean square difference to the measurement's converged frame, relative to its mean.
     pub rmse: f64,
+    /// The same to the BSDF's own converged frame: noise alone.
+    pub noise: f64,
 }
 
 /// A measured material: what the models are held against.
@@ -374,6 +388,16 @@ pub(crate) mod tests {
         Ggx::new(Microfacet { kd: [0.4, 0.2, 0.1], eta: [1.5; 3], alpha: [alpha; 2] }).unwrap().into()
     }
 
+    fn frames() -> Frames {
+        let frame = |spp: u32| {
+            let noise = 1.0 / f64::from(spp).sqrt();
+            Frame { spp, seconds: 0.01 * f64::from(spp), rmse: noise + 0.1, noise }
+        };
+        let curves = [MEASUREMENT, "same", "stock"].map(|name| (name.to_owned(), vec![frame(1), frame(16)]));
+        let variants = BTreeMap::from([("scalar_rgb".to_owned(), curves.into())]);
+        Frames { material: "brass <raw>".into(), variants }
+    }
+
     /// A study of one material and two models, the first of which is the truth.
     pub(crate) fn small() -> Study {
         let lights = [Light::lamps(), Light::studio()];
@@ -403,7 +427,6 @@ pub(crate) mod tests {
             shared_bytes: 0,
             fit_seconds: None,
             times: BTreeMap::from([("batch".into(), Time { median: ns, quartiles: [ns; 2] })]),
-            frames: BTreeMap::new(),
         };
         Study {
             made: Made {
@@ -416,6 +439,7 @@ pub(crate) mod tests {
             settings,
             candidates: vec![candidate("same", 8.0), candidate("other", 4.0)],
             subjects: vec![subject],
+            frames: Some(frames()),
         }
     }
 
