@@ -20,6 +20,7 @@ even sky and a square lamp.
 """
 
 import json
+import os
 import statistics
 import sys
 import time
@@ -149,9 +150,11 @@ def main():
         print(__doc__, file=sys.stderr)
         return 2
     text = sys.stdin.read() if sys.argv[1] == "-" else Path(sys.argv[1]).read_text()
-    request = json.loads(text)
-    json.dump(run(request), sys.stdout)
-    print()
+    # Mitsuba writes its warnings to the standard output, which is for the answer alone.
+    with os.fdopen(os.dup(1), "w") as answer:
+        os.dup2(2, 1)
+        json.dump(run(json.loads(text)), answer)
+        answer.write("\n")
     return 0
 
 

@@ -56,6 +56,14 @@ fn made(study: &Study) -> [String; 2] {
 /// A number of a case or a subject.
 type Figure<T> = Box<dyn Fn(&T) -> f64>;
 
+/// How many materials there are, in words.
+fn materials_of(study: &Study) -> String {
+    match study.subjects.len() {
+        1 => "1 material".to_owned(),
+        count => format!("{count} materials"),
+    }
+}
+
 /// An error that a study knows of every case.
 struct Metric {
     /// In file names.
@@ -130,9 +138,9 @@ fn trade_offs(study: &Study) -> [Vec<Plot>; 2] {
             name: format!("{}-{key}", metric.key),
             svg: scatter(&points, [name, &metric.name], noise_of(metric)),
             caption: format!(
-                "{} against {name}, means over {} materials; the line is the Pareto front of the models that have all of them",
+                "{} against {name}, means over {}; the line is the Pareto front of the models that have all of them",
                 metric.name,
-                study.subjects.len()
+                materials_of(study)
             ),
             legend: Vec::new(),
         }
@@ -281,9 +289,9 @@ pub fn html(study: &Study) -> String {
         "<!doctype html><html lang=en><meta charset=utf-8>\
          <meta name=viewport content='width=device-width, initial-scale=1'>\
          <link rel=icon href='data:,'><title>glimt report</title><style>{STYLE}{PLOT_STYLE}</style>\n\
-         <h1>glimt report</h1>\n<p>{} models against {} materials. {}</p><p><code>{}</code></p>\n",
+         <h1>glimt report</h1>\n<p>{} models against {}. {}</p><p><code>{}</code></p>\n",
         study.candidates.len(),
-        study.subjects.len(),
+        materials_of(study),
         escape(&made(study)[0]),
         escape(&study.made.command)
     );

@@ -7,7 +7,7 @@ use crate::study::pareto::front;
 /// Size of a plot, in its own units.
 const SIZE: [f64; 2] = [420.0, 270.0];
 /// Room for numbers and names: left, right, top, bottom.
-const MARGINS: [f64; 4] = [52.0, 14.0, 10.0, 38.0];
+const MARGINS: [f64; 4] = [56.0, 14.0, 16.0, 40.0];
 
 /// A scale from values to places, logarithmic or linear.
 #[derive(Clone, Copy, Debug)]
@@ -214,7 +214,10 @@ pub fn scatter(points: &[Point], names: [&str; 2], noise: Option<f64>) -> String
     let mut labels: Vec<([f64; 2], &Point)> =
         shown.iter().map(|&point| ([x.at(point.at[0]), y.at(point.at[1])], point)).collect();
     labels.sort_by(|a, b| a.0[1].total_cmp(&b.0[1]));
-    let mut taken: Vec<[f64; 3]> = Vec::new();
+    // Start, end and line of every text; names stay clear of each other and of the noise's.
+    const NOISE_WIDTH: f64 = 150.0;
+    let mut taken: Vec<[f64; 3]> =
+        noise.iter().map(|noise| [across[1] - NOISE_WIDTH, across[1], y.at(*noise) - 4.0]).collect();
     for (place, Point { mark, is_partial, .. }) in labels {
         let [px, py] = place;
         let hollow = if *is_partial { " hollow" } else { "" };
@@ -223,17 +226,18 @@ pub fn scatter(points: &[Point], names: [&str; 2], noise: Option<f64>) -> String
             format_args!("<circle class='{}{hollow}' cx='{px:.1}' cy='{py:.1}' r='4.5'/>", mark.class),
         );
         // About the width of the text.
-        let width = 6.0 * mark.name.chars().count() as f64 + 10.0;
+        let width = 6.6 * mark.name.chars().count() as f64 + 10.0;
         let is_left = px + width > across[1];
         let start = if is_left { px - width } else { px };
-        let mut line = py + 3.5;
+        // Above the point: at its height the front may run through it.
+        let mut line = py - 7.0;
         while let Some(other) =
-            taken.iter().find(|[s, e, l]| (l - line).abs() < 11.0 && *s < start + width && start < *e)
+            taken.iter().find(|[s, e, l]| (l - line).abs() < 12.0 && *s < start + width && start < *e)
         {
-            line = other[2] + 11.0;
+            line = other[2] + 12.0;
         }
         taken.push([start, start + width, line]);
-        let (anchor, text_x) = if is_left { ("end", px - 8.0) } else { ("start", px + 8.0) };
+        let (anchor, text_x) = if is_left { ("end", px + 4.0) } else { ("start", px - 4.0) };
         add(
             &mut svg,
             format_args!(
