@@ -29,6 +29,18 @@ fn files_that_are_not_there_or_not_known() {
 }
 
 #[test]
+#[cfg(unix)]
+fn devices_and_pipes_are_no_files() {
+    let folder = Folder::new();
+    for ending in ["safetensors", "bsdf", "binary", "bin", "csv", "npy", "npz", "h5", "fit"] {
+        let file = format!("zero.{ending}");
+        std::os::unix::fs::symlink("/dev/zero", folder.path(&file)).unwrap();
+        let line = folder.fails(1, &["info", &file]);
+        assert!(line.contains(&file) && line.contains("not a regular file"), "{line}");
+    }
+}
+
+#[test]
 fn broken_files_of_every_format() {
     let folder = Folder::new();
     folder.succeeds(&["convert", "cloth.bin", "cloth.binary"]);

@@ -8,6 +8,7 @@ use std::path::Path;
 use glimt_core::analytic::{Analytic, Parameters, Rgb, Specular};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{Library, Material};
+use glimt_measured::file::read_regular;
 
 use crate::error::Error;
 use crate::source::{file_name, sha256};
@@ -29,7 +30,7 @@ pub fn open(path: &Path) -> Result<Library, Error> {
     if size > MAX_BYTES {
         return Err(invalid(format!("it has {size} bytes, expected at most {MAX_BYTES}")));
     }
-    let bytes = std::fs::read(path).map_err(Error::read(path))?;
+    let bytes = read_regular(path).map_err(Error::read(path))?;
     let origin = Origin {
         source: file_name(path),
         sha256: sha256(path)?,

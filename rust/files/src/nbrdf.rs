@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use glimt_core::nbrdf::{FEATURES, Nbrdf};
 use glimt_core::network::{Activation, Layer, Network};
+use glimt_measured::file::open_regular;
 
 use crate::error::Error;
 use crate::keras;
@@ -75,7 +76,7 @@ fn format_error(path: &Path) -> impl Fn(String) -> Error + '_ {
 fn read(path: &Path) -> Result<Vec<u8>, Error> {
     let read = || {
         let mut bytes = Vec::new();
-        std::fs::File::open(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
+        open_regular(path)?.take(MAX_BYTES).read_to_end(&mut bytes)?;
         Ok(bytes)
     };
     read().map_err(Error::read(path))

@@ -6,6 +6,7 @@
 use std::path::Path;
 
 use glimt_core::library::write_whole;
+use glimt_measured::file::read_regular;
 
 use crate::error::{Error, excerpt};
 
@@ -34,7 +35,7 @@ impl Array {
     /// [`Error::Read`], or [`Error::Format`] for a file that is broken or holds other types.
     pub fn open(path: impl AsRef<Path>) -> Result<Array, Error> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(Error::read(path))?;
+        let bytes = read_regular(path).map_err(Error::read(path))?;
         Array::from_bytes(&bytes).map_err(|reason| Error::Format {
             path: path.to_owned(),
             format: "a NumPy array (.npy) of float32 or float64",

@@ -14,6 +14,7 @@
 use std::path::Path;
 
 use glimt_core::Vec3;
+use glimt_measured::file::read_regular;
 
 use crate::error::{Error, excerpt};
 use crate::npy::{self, Array};
@@ -51,7 +52,7 @@ impl Samples {
     /// finite number, a direction below the horizon or not of unit length; or no sample at all.
     pub fn open(path: impl AsRef<Path>) -> Result<Samples, Error> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(Error::read(path))?;
+        let bytes = read_regular(path).map_err(Error::read(path))?;
         let format = if is_array(&bytes) {
             "an array (n, 9) of scattered samples (.npy)"
         } else {

@@ -1,12 +1,12 @@
 //! A file that holds reflectance, whatever its format.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{Library, Material};
 use glimt_measured::Measured;
+use glimt_measured::file::{open_regular, read_regular};
 use sha2::{Digest, Sha256};
 
 use crate::error::Error;
@@ -127,7 +127,7 @@ impl Source {
 fn start(path: &Path) -> Result<Vec<u8>, Error> {
     let read = || {
         let mut start = Vec::new();
-        File::open(path)?.take(16).read_to_end(&mut start)?;
+        open_regular(path)?.take(16).read_to_end(&mut start)?;
         Ok(start)
     };
     read().map_err(Error::read(path))
@@ -163,7 +163,7 @@ pub(crate) fn file_name(path: &Path) -> String {
 /// # Errors
 /// [`Error::Read`].
 pub fn sha256(path: &Path) -> Result<String, Error> {
-    Ok(sha256_of(&std::fs::read(path).map_err(Error::read(path))?))
+    Ok(sha256_of(&read_regular(path).map_err(Error::read(path))?))
 }
 
 /// SHA-256 of some bytes, in hexadecimal.

@@ -1,16 +1,39 @@
 //! Whole files in and out, with errors that name them.
 
-use std::fs;
-use std::io::Read;
+use std::fs::{self, File};
+use std::io::{self, Read};
 use std::path::Path;
 
 use glimt_core::library::write_whole;
 
 use crate::error::Error;
 
+/// Opens a file, which a pipe or a device is not: those may have no end.
+///
+/// # Errors
+/// Whatever the file system says, and that `path` is no regular file.
+pub fn open_regular(path: &Path) -> io::Result<File> {
+    // Before it is opened: that waits for whoever writes to a pipe.
+    let kind = fs::metadata(path)?.file_type();
+    if !kind.is_file() && !kind.is_dir() {
+        return Err(io::Error::other("it is not a regular file"));
+    }
+    File::open(path)
+}
+
 /// Reads a whole file.
+///
+/// # Errors
+/// Those of [`open_regular`].
+pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open_regular(path)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// [`read_regular`], with an error that names the file.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, Error> {
-    fs::read(path).map_err(|source| Error::Read { path: path.to_owned(), source })
+    read_regular(path).map_err(|source| Error::Read { path: path.to_owned(), source })
 }
 
 /// Reads a file that must hold exactly `size` bytes; a file of another size is not loaded.
@@ -30,7 +53,7 @@ pub(crate) fn read_exactly(path: &Path, size: usize, what: &str) -> Result<Vec<u
 /// The length of a file and its first bytes, at most `count`.
 pub(crate) fn read_start(path: &Path, count: u64) -> Result<(u64, Vec<u8>), Error> {
     let read = || {
-        let file = fs::File::open(path)?;
+        let file = open_regular(path)?;
         let size = file.metadata()?.len();
         let mut start = Vec::new();
         file.take(count).read_to_end(&mut start)?;

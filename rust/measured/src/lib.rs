@@ -10,7 +10,7 @@
 //! ```
 
 pub mod error;
-mod file;
+pub mod file;
 pub mod grid;
 mod measured;
 pub mod merl;

@@ -318,13 +318,14 @@ mod tests {
         let numbers = [0.5; 100];
         let field = |name: &str| Field::from_f32(name, &[100], &numbers);
         let mut bytes = TensorFile { fields: vec![field("a"), field("b"), field("c")] }.to_bytes();
-        // An entry ends with the field's offset and its only extent.
+        // An entry ends with the field's offset and its only extent. All fields are where the first is.
         let entry = 2 + 1 + 2 + 1 + 8 + 8;
-        let header = MAGIC.len() + VERSION.len() + size_of::<u32>();
-        let last = bytes[header + 3 * entry - 16..][..8].to_vec();
-        for i in 0..2 {
-            bytes[header + (i + 1) * entry - 16..][..8].copy_from_slice(&last);
+        let offset = |field: usize| MAGIC.len() + VERSION.len() + size_of::<u32>() + (field + 1) * entry - 16;
+        let first: [u8; 8] = bytes[offset(0)..][..8].try_into().unwrap();
+        for field in 1..3 {
+            bytes[offset(field)..][..8].copy_from_slice(&first);
         }
+        bytes.truncate(u64::from_le_bytes(first) as usize + 400);
         let message = parse(&bytes).unwrap_err().to_string();
         assert!(message.contains("1200 bytes"), "{message}");
         let deep = TensorFile { fields: vec![Field::from_f32("a", &[1; 9], &[0.5])] }.to_bytes();

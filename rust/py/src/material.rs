@@ -5,7 +5,7 @@ use glimt_core::sampler::{Sampler, SamplerChoice};
 use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_files::Source;
 use numpy::{PyArray1, ToPyArray};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::arrays::{Directions, Triples, aligned};
@@ -21,20 +21,17 @@ pub struct Material {
 }
 
 /// One number for all components, or one for each.
-#[derive(FromPyObject)]
-enum Numbers<const N: usize> {
-    #[pyo3(transparent)]
-    One(f32),
-    #[pyo3(transparent)]
-    Each([f32; N]),
-}
+struct Numbers<const N: usize>([f32; N]);
 
-impl<const N: usize> Numbers<N> {
-    fn each(&self) -> [f32; N] {
-        match *self {
-            Numbers::One(number) => [number; N],
-            Numbers::Each(numbers) => numbers,
-        }
+impl<'py, const N: usize> FromPyObject<'_, 'py> for Numbers<N> {
+    type Error = PyErr;
+
+    fn extract(given: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let one = given.extract::<f32>().map(|number| [number; N]);
+        let each = || given.extract::<[f32; N]>();
+        one.or_else(|_| each()).map(Numbers).map_err(|_| {
+            PyTypeError::new_err(format!("{given:?} is neither a number nor a list of {N} numbers"))
+        })
     }
 }
 
@@ -108,9 +105,9 @@ impl Material {
         let Some(mut microfacet) = self.material.microfacet().copied() else {
             return Err(refused(format!("{} materials have no kd, eta or alpha to edit", self.kind)));
         };
-        microfacet.kd = kd.map_or(microfacet.kd, |kd| kd.each());
-        microfacet.eta = eta.map_or(microfacet.eta, |eta| eta.each());
-        microfacet.alpha = alpha.map_or(microfacet.alpha, |alpha| alpha.each());
+        microfacet.kd = kd.map_or(microfacet.kd, |kd| kd.0);
+        microfacet.eta = eta.map_or(microfacet.eta, |eta| eta.0);
+        microfacet.alpha = alpha.map_or(microfacet.alpha, |alpha| alpha.0);
         Ok(self.changed(self.material.with_microfacet(microfacet).map_err(refused)?))
     }
 
