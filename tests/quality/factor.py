@@ -18,7 +18,6 @@ import subprocess
 from pathlib import Path
 
 import glimt
-import matplotlib.image
 import mitsuba as mi
 import numpy as np
 
@@ -213,10 +212,11 @@ def save(path, images, inside):
         tiles = []
         for image in row:
             tile = np.ones((*inside.shape, 3))
-            tile[inside] = np.clip(image * exposure, 0, 1) ** (1 / 2.2)
-            tiles.append(np.kron(tile, np.ones((2, 2, 1))))
+            tile[inside] = image * exposure
+            tiles.append(tile)
         picture.append(np.concatenate(tiles, axis=1))
-    matplotlib.image.imsave(path, np.concatenate(picture))
+    bitmap = mi.Bitmap(np.concatenate(picture).astype(np.float32))
+    mi.util.write_bitmap(str(path), bitmap, write_async=False)
 
 
 def cells(row, columns):

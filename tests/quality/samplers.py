@@ -16,7 +16,8 @@ import glimt
 import numpy as np
 
 DIRECTORY = Path(__file__).parents[3] / "shared" / "data" / "rgl"
-SAMPLERS = ["cosine", "lobes", "warp", "table", "table:paper"]
+TABLES = ["table:8x16x8", "table:16x32x16", "table", "table:64x128x64", "table:paper"]
+SAMPLERS = ["cosine", "lobes", "warp", *TABLES]
 ANGLES = np.radians([0, 15, 30, 45, 60, 70, 80])
 SAMPLES = 40_000
 
@@ -50,7 +51,7 @@ def main():
     if not materials:
         parser.error(f"{arguments.source} holds no .bsdf file")
     table, cost = {}, {}
-    print(f"{'material':24}" + "".join(f"{sampler:>13}" for sampler in samplers))
+    print(f"{'material':24}" + "".join(f"{sampler:>16}" for sampler in samplers))
     for source in materials:
         row = []
         for sampler in samplers:
@@ -61,9 +62,9 @@ def main():
                 cost.setdefault(sampler, []).append((time.perf_counter() - start, material.sampler_bytes))
             row.append(relative_variance(material, sampler, np.random.default_rng(1)))
         table[source.name] = row
-        print(f"{source.name:24}" + "".join(f"{value:13.3f}" for value in row), flush=True)
+        print(f"{source.name:24}" + "".join(f"{value:16.3f}" for value in row), flush=True)
     means = np.exp(np.mean(np.log(list(table.values())), axis=0))
-    print(f"{'geometric mean':24}" + "".join(f"{value:13.3f}" for value in means))
+    print(f"{'geometric mean':24}" + "".join(f"{value:16.3f}" for value in means))
     for sampler, values in cost.items():
         seconds, size = np.median(values, axis=0)
         print(f"{sampler}: made in {1e3 * seconds:.0f} ms, {int(size):,} bytes")
@@ -92,7 +93,7 @@ def plot(table, samplers, path):
     axes.set_yscale("log")
     axes.set_ylabel("variance / mean²")
     axes.set_xticks(places, list(table), rotation=40, ha="right")
-    axes.legend()
+    figure.legend(loc="outside right upper")
     figure.savefig(path, dpi=110)
 
 
