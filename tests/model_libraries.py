@@ -122,8 +122,8 @@ def analytic_tensors(lobe):
     scale, roughness = np.full((3, 3), 0.2), np.array([[0.2], [0.1], [0.5]])
     if lobe == "ward":
         return {"diffuse": diffuse, "specular": np.hstack([scale, roughness])}
-    # α, p, F₀, F₁, K, λ, c, k and θ₀ of every channel, near those that are published for gold-metallic-paint.
-    numbers = [0.1, 0.8, 0.0, -1.0, 6.0, 2.7, 1e-7, 24.0, -0.3]
+    # α, p, F₀, F₁, K, λ, s, k and θ₀ of every channel, near those that are published for gold-metallic-paint.
+    numbers = [0.1, 0.8, 0.0, -1.0, 6.0, 2.7, 0.5, 24.0, -0.3]
     return {"diffuse": diffuse, "specular": np.hstack([scale, np.tile(np.repeat(numbers, 3), (3, 1))])}
 
 

@@ -79,7 +79,8 @@ pub enum Specular {
     /// The shifted gamma distribution of Bagher, Soler, Holzschuch 2012, every parameter per channel:
     /// k_s F D G(θ_l) G(θ_v)/(π cosθ_l cosθ_v), F = F₀ + (1 − F₀)(1 − cosθ_d)⁵ − F₁ cosθ_d,
     /// D = K e^−x x^−p/(π cos⁴θ_h) with x = α + tan²θ_h/α,
-    /// G = 1 + λ (1 − exp(c max(θ − θ₀, 0)^k)), limited to [0, 1].
+    /// G = 1 + λ (1 − exp((s max(θ − θ₀, 0))^k)), limited to [0, 1]. The paper has c in the place of sᵏ, and published
+    /// ones are as large as 10¹⁰⁹, where float32 ends at 10³⁸.
     ShiftedGamma {
         /// k_s.
         scale: Rgb,
@@ -91,7 +92,7 @@ pub enum Specular {
         fresnel: [Rgb; 2],
         /// K.
         norm: Rgb,
-        /// λ, c, k and θ₀.
+        /// λ, s, k and θ₀.
         masking: [Rgb; 4],
     },
 }
@@ -219,6 +220,10 @@ impl Analytic {
     /// # Errors
     /// In words, a parameter that is not finite, a negative k_d, or a roughness that is not positive.
     pub fn new(parameters: Parameters) -> Result<Self, String> {
+        let stored = |x: f64| f64::from(x as f32);
+        let numbers: Vec<f64> = parameters.specular.numbers().into_iter().map(stored).collect();
+        let specular = Specular::from_numbers(parameters.specular.lobe(), &numbers)?;
+        let parameters = Parameters { diffuse: parameters.diffuse.map(stored), specular };
         let values = parameters.specular.values();
         for (name, values) in values.into_iter().chain([("diffuse", &parameters.diffuse[..])]) {
             let is_positive = matches!(name, "roughness" | "alpha");
@@ -235,10 +240,6 @@ impl Analytic {
                 return Err(format!("{name} is {x}, expected a number that is {expected}"));
             }
         }
-        let stored = |x: f64| f64::from(x as f32);
-        let numbers: Vec<f64> = parameters.specular.numbers().into_iter().map(stored).collect();
-        let specular = Specular::from_numbers(parameters.specular.lobe(), &numbers)?;
-        let parameters = Parameters { diffuse: parameters.diffuse.map(stored), specular };
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
         let mut analytic = Analytic { parameters, sampler: lobes.into() };
         analytic.sampler = Lobes::fit(&analytic, &PROXY_ALPHAS).into();
@@ -352,7 +353,7 @@ impl Specular {
                     let [lambda, rate, exponent, start] =
                         [masking[0][c], masking[1][c], masking[2][c], masking[3][c]];
                     let beyond = (cos.acos() - start).max(0.0);
-                    (1.0 + lambda * (1.0 - (rate * beyond.powf(exponent)).exp())).clamp(0.0, 1.0)
+                    (1.0 + lambda * (1.0 - (rate * beyond).max(0.0).powf(exponent).exp())).clamp(0.0, 1.0)
                 };
                 let both = masking(a.cos_light) * masking(a.cos_view);
                 scale[c] * reflected * ndf * both / (PI * a.foreshortening())
@@ -398,7 +399,7 @@ pub(crate) mod tests {
                 power: [0.6; 3],
                 fresnel: [[0.1; 3], [-0.05; 3]],
                 norm: [20.0; 3],
-                masking: [[2.0; 3], [1e-3; 3], [9.0; 3], [0.2; 3]],
+                masking: [[2.0; 3], [0.5; 3], [9.0; 3], [0.2; 3]],
             },
         ]
         .map(|specular| Parameters { diffuse: [0.2, 0.1, 0.05], specular })
@@ -490,5 +491,12 @@ pub(crate) mod tests {
         assert!(refused(Specular::Ward { scale: [-1.0; 3], roughness: 0.1 }).contains("scale is -1"));
         let nan = Specular::LowMicrofacet { scale: [1.0; 3], slope: f64::NAN, falloff: 1.0, eta: 1.5 };
         assert!(refused(nan).contains("slope is NaN"));
+        // Libraries hold float32: beyond its range is out of range.
+        let large = Specular::LowMicrofacet { scale: [1.0; 3], slope: 1e40, falloff: 1.0, eta: 1.5 };
+        assert!(refused(large).contains("slope is inf"));
+        assert!(
+            refused(Specular::Ward { scale: [1.0; 3], roughness: 1e-60 })
+                .contains("roughness is 0, expected")
+        );
     }
 }

@@ -17,6 +17,9 @@ use crate::source::{file_name, sha256};
 const LOBES: [&str; 5] =
     ["NganCookTorrance", "NganWard", "NganAshikhminShirley", "LowMicrofacetFit", "Bagher"];
 const FORMAT: &str = "a file of analytic fits";
+/// What red, green and blue of the database are multiplied by besides 1/1500. The fits of Ngan et al. 2005 were made
+/// without: their albedos of white acrylic are 0.313, 0.258, 0.155 where Löw et al. 2012 have 0.317, 0.301, 0.263.
+const MERL_CHANNELS: Rgb = [1.0, 1.15, 1.66];
 /// Largest file that is read; the published ones have 48 kB.
 const MAX_BYTES: u64 = 1 << 22;
 
@@ -65,20 +68,22 @@ fn parse(line: &str) -> Result<(String, Analytic), String> {
     let (diffuse, specular) = inner
         .split_once("), ")
         .ok_or("expected a Lambertian and a specular lobe, with a comma between them")?;
-    let diffuse = Arguments::new(call(&format!("{diffuse})"), "Lambertian")?)?.rgb("albedo")?;
     let (lobe, _) = specular.split_once('(').ok_or("expected a specular lobe")?;
+    let channels = if lobe.trim().starts_with("Ngan") { MERL_CHANNELS } else { [1.0; 3] };
+    let albedo = |arguments: &Arguments| Ok::<Rgb, String>(times(arguments.rgb("albedo")?, channels));
+    let diffuse = albedo(&Arguments::new(call(&format!("{diffuse})"), "Lambertian")?)?)?;
     let arguments = Arguments::new(call(specular, lobe)?)?;
     let specular = match lobe {
         "NganCookTorrance" => Specular::CookTorrance {
-            scale: arguments.rgb("albedo")?,
+            scale: albedo(&arguments)?,
             reflectance: arguments.number("eta")?,
             roughness: arguments.number("roughness")?,
         },
         "NganWard" => {
-            Specular::Ward { scale: arguments.rgb("albedo")?, roughness: arguments.number("roughness")? }
+            Specular::Ward { scale: albedo(&arguments)?, roughness: arguments.number("roughness")? }
         }
         "NganAshikhminShirley" => Specular::AshikhminShirley {
-            scale: arguments.rgb("albedo")?,
+            scale: albedo(&arguments)?,
             reflectance: arguments.number("fresnelReflectance")?,
             sharpness: arguments.number("sharpness")?,
         },
@@ -89,21 +94,32 @@ fn parse(line: &str) -> Result<(String, Analytic), String> {
             eta: arguments.number("eta")?,
         },
         "Bagher" => Specular::ShiftedGamma {
-            scale: arguments.rgb("albedo")?,
+            scale: albedo(&arguments)?,
             alpha: arguments.rgb("alpha")?,
             power: arguments.rgb("p")?,
             fresnel: arguments.rows("eta")?,
             norm: arguments.rgb("K")?,
-            masking: [
-                arguments.rgb("Lambda")?,
-                arguments.rgb("c")?,
-                arguments.rgb("k")?,
-                arguments.rgb("theta0")?,
-            ],
+            masking: gamma_masking(&arguments)?,
         },
         other => return Err(format!("the lobe is {other}, expected {}", LOBES.join(", "))),
     };
     Ok((name.trim().to_owned(), Analytic::new(Parameters { diffuse, specular })?))
+}
+
+fn times(a: Rgb, b: Rgb) -> Rgb {
+    std::array::from_fn(|channel| a[channel] * b[channel])
+}
+
+/// λ, s, k and θ₀ of [`Specular::ShiftedGamma`], which has sᵏ where the file has c.
+fn gamma_masking(arguments: &Arguments) -> Result<[Rgb; 4], String> {
+    let (c, k) = (arguments.rgb("c")?, arguments.rgb("k")?);
+    for (name, values) in [("c", c), ("k", k)] {
+        if let Some(x) = values.iter().find(|&&x| !(x > 0.0 && x.is_finite())) {
+            return Err(format!("{name} is {x}, expected a number that is positive"));
+        }
+    }
+    let s = std::array::from_fn(|channel| c[channel].powf(1.0 / k[channel]));
+    Ok([arguments.rgb("Lambda")?, s, k, arguments.rgb("theta0")?])
 }
 
 /// What stands between the parentheses of `name(...)`.
@@ -167,11 +183,26 @@ mod tests {
     fn a_line_is_a_material() {
         let (name, material) = parse(WARD).unwrap();
         assert_eq!(name, "paint");
-        // Parameters are float32, as the library stores them.
-        let specular =
-            Specular::Ward { scale: [0.01_f32, 0.0, 0.5].map(f64::from), roughness: 0.02_f32.into() };
-        let diffuse = [0.1_f32, 0.2, 0.3].map(f64::from);
+        // Parameters are float32, as the library stores them, and those of Ngan et al. lack the channels' factors.
+        let stored = |x: f64| f64::from(x as f32);
+        let specular = Specular::Ward { scale: [0.01, 0.0, 0.5 * 1.66].map(stored), roughness: stored(0.02) };
+        let diffuse = [0.1, 0.2 * 1.15, 0.3 * 1.66].map(stored);
         assert_eq!(*material.parameters(), Parameters { diffuse, specular });
+    }
+
+    #[test]
+    fn rates_beyond_float32_are_kept_as_their_roots() {
+        let line = "chrome = Aggregate(Lambertian(albedo = [0, 0, 0]), Bagher(albedo = [1, 1, 1], alpha = [1, 1, 1], \
+                    p = [1, 1, 1], eta = [[1, 1, 1], [0, 0, 0]], K = [1, 1, 1], Lambda = [5, 5, 5], \
+                    c = [1e100, 1.79834e66, 1e-8], k = [200, 272.736, 300], theta0 = [1, 1.00293, 1]))";
+        let Specular::ShiftedGamma { masking: [_, s, ..], .. } = parse(line).unwrap().1.parameters().specular
+        else {
+            panic!("Bagher's lobe is the shifted gamma distribution")
+        };
+        for (s, expected) in s.into_iter().zip([10f64.powf(0.5), 1.749_551_6, 10f64.powf(-8.0 / 300.0)]) {
+            assert!((s - expected).abs() < 1e-5 * expected, "{s} for {expected}");
+        }
+        assert!(parse(&line.replace("1e100", "-1")).unwrap_err().contains("c is -1, expected"));
     }
 
     #[test]
