@@ -296,7 +296,7 @@ impl Arguments {
 /// What is fitted to.
 enum Truths {
     Files(Vec<Source>),
-    Simulated(Simulated),
+    Simulated(Box<Simulated>),
 }
 
 impl Truths {
@@ -304,7 +304,7 @@ impl Truths {
         Ok(match &arguments.from_mitsuba {
             Some(scene) => {
                 let command = fitting::command(std::slice::from_ref(scene));
-                Truths::Simulated(Simulated::start(scene, arguments.bsdf.as_deref(), &command)?)
+                Truths::Simulated(Box::new(Simulated::start(scene, arguments.bsdf.as_deref(), &command)?))
             }
             None => Truths::Files(inputs::open(&arguments.files)?),
         })
