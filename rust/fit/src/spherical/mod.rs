@@ -117,7 +117,7 @@ impl Objective for SphericalObjective<'_> {
         loss_rows(self.loss, pairs, target, &workspace.model, &mut workspace.slopes, &mut total);
         dark_rows(self.loss.relative, pairs, target, &workspace.model, &mut workspace.slopes, &mut total);
         let (outputs, delta) = workspace.network.outputs_and_delta();
-        differentiate(outputs, &workspace.slopes, delta);
+        differentiate(target, outputs, &workspace.slopes, delta);
         push_zeros(self.loss.relative, pairs, target, outputs, delta);
         let (network_gradient, rest) = shared_gradient.split_at_mut(self.shape.len());
         backward(&self.shape, parts.network, &mut workspace.network, network_gradient);
@@ -494,14 +494,22 @@ dispatch! {
 }
 
 dispatch! {
-    /// ∂loss/∂y from ∂loss/∂f. Where y < 0, f stays 0, and only what would raise it counts.
-    fn differentiate(_isa, outputs: &[Row], slopes: &[Row; 3], delta: &mut [Row]) {
+    /// ∂loss/∂y from ∂loss/∂f. Where y < 0, f stays 0, and only what would raise it counts; nothing, if it is to
+    /// be 0: the slope at a kink is that of one of its sides, and here the wrong one.
+    fn differentiate(
+        _isa,
+        target: &TargetBlock,
+        outputs: &[Row],
+        slopes: &[Row; 3],
+        delta: &mut [Row],
+    ) {
         for c in 0..3 {
             for column in 0..COLUMNS {
                 for lane in 0..LANES {
                     let (y, slope) = (outputs[c][column][lane], slopes[c][column][lane]);
                     let by_y = slope * OUTPUT_SCALE * exp(y.min(MAX_BOUND));
-                    delta[c][column][lane] = if y < 0.0 { by_y.min(0.0) } else { by_y };
+                    let raised = if target[c][column][lane] == 0.0 { 0.0 } else { by_y.min(0.0) };
+                    delta[c][column][lane] = if y < 0.0 { raised } else { by_y };
                 }
             }
         }

@@ -196,6 +196,39 @@ fn every_kind_of_grid_and_store_comes_near_its_material() {
     }
 }
 
+/// 0 where light and view are more than 60° apart, as in measurements whose noise is clamped.
+struct Clamped;
+
+impl Brdf for Clamped {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        if glimt_core::is_lit(light, view) {
+            Vec3::splat((light.dot(view) - 0.5).max(0.0))
+        } else {
+            Vec3::ZERO
+        }
+    }
+}
+
+#[test]
+fn what_is_0_is_fitted_as_0() {
+    let model = fitted(&[input("clamped", Truth::Brdf(&Clamped))], &options(Grids::Iso, StoreKind::I8, 1000))
+        .remove(0);
+    let (mut dark, mut wrong) = (0, 0);
+    for i in 0..4000u32 {
+        let direction = |a: f32, b: f32| {
+            let (z, phi) = (0.05 + 0.95 * (i as f32 * a).fract(), i as f32 * b);
+            let r = (1.0 - z * z).sqrt();
+            Vec3::new(r * phi.cos(), r * phi.sin(), z)
+        };
+        let (light, view) = (direction(0.754_877_7, 2.399), direction(0.569_840_3, 1.117));
+        if light.dot(view) < 0.5 {
+            dark += 1;
+            wrong += i32::from(model.eval(light, view) != Vec3::ZERO);
+        }
+    }
+    assert!(dark > 1000 && wrong * 10 < dark, "{wrong} of {dark} dark pairs are not");
+}
+
 #[test]
 fn a_fit_that_was_interrupted_in_any_stage_ends_the_same() {
     let truths = [material([0.3; 2]), material([0.15; 2])];
