@@ -91,10 +91,14 @@ def test_harness_and_mitsuba_agree_within_noise(command_line, harness, scene, tr
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("model", ["shipped", "ggx", "brushed", "hybrid", "neural", "nbrdf"])
+@pytest.mark.parametrize(
+    "model", ["shipped", "ggx", "brushed", "hybrid", "hybrid_isotropic", "neural", "nbrdf"]
+)
 @pytest.mark.parametrize("scene", ["environment", "mesh", "texture", "interior"])
 def test_they_agree_at_256_samples_for_every_model(harness, scene, model, tmp_path):
     definitions = []
+    if scene == "mesh" and model in ("brushed", "hybrid", "neural"):
+        pytest.skip("without texture coordinates a tangent, on which f depends, is each renderer's own")
     if model != "shipped":
         if scene == "interior":
             pytest.skip("its surfaces name the materials of the shipped library")
