@@ -14,7 +14,7 @@ use glimt_core::{Brdf, SampleBrdf};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let directory = std::env::args().nth(1).ok_or("expected the directory to write to")?;
-    let directory = Path::new(&directory);
+    let directory = &std::path::absolute(directory)?;
     let mut names = String::new();
     let mut pairs = Vec::new();
     for family in families() {
