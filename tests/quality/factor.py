@@ -212,7 +212,7 @@ def save(path, images, inside):
         tiles = []
         for image in row:
             tile = np.ones((*inside.shape, 3))
-            tile[inside] = image * exposure
+            tile[inside] = np.clip(image * exposure, 0, 1)
             tiles.append(tile)
         picture.append(np.concatenate(tiles, axis=1))
     bitmap = mi.Bitmap(np.concatenate(picture).astype(np.float32))
