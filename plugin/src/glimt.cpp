@@ -171,8 +171,7 @@ public:
             return { bs, colour(weight, si, active) };
         } else {
             auto [bs, lit] = sample_direction(si.wi, sample1, sample2, active);
-            Color3f f = reflectance(ctx, si.wi, bs.wo, lit);
-            return { bs, colour(f * (Frame3f::cos_theta(bs.wo) / bs.pdf), si, lit) };
+            return weighted(bs, reflectance(ctx, si.wi, bs.wo, lit), si, lit);
         }
     }
 
@@ -202,9 +201,9 @@ public:
                 Mask lit = active && is_lit(si.wi, wo);
                 auto [bs, chosen] = sample_direction(si.wi, sample1, sample2, active);
                 auto [f, f_chosen] = m_call.eval(wo, lit, bs.wo, chosen, si.wi);
-                return { colour(f * Frame3f::cos_theta(wo), si, lit),
-                         direction_pdf(si.wi, wo, lit), bs,
-                         colour(f_chosen * (Frame3f::cos_theta(bs.wo) / bs.pdf), si, chosen) };
+                auto [sample, weight] = weighted(bs, f_chosen, si, chosen);
+                return { colour(f * Frame3f::cos_theta(wo), si, lit), direction_pdf(si.wi, wo, lit), sample,
+                         weight };
             }
         }
         return Base::eval_pdf_sample(ctx, si, wo, sample1, sample2, active);
@@ -516,6 +515,16 @@ private:
         Mask lit = active && is_lit(wi, wo);
         Float pdf = dr::select(lit, m_lobes.pdf(wo, wi), 0.f);
         return { reflected(wo, pdf), lit && pdf > 0.f };
+    }
+
+    /// A sample with its weight from f. Where f is near the end of float32 the weight can be beyond it; then
+    /// the sample failed, as in the core.
+    std::pair<BSDFSample3f, Spectrum> weighted(BSDFSample3f bs, const Color3f &f, const SurfaceInteraction3f &si,
+                                               const Mask &lit) const {
+        Color3f weight = f * (Frame3f::cos_theta(bs.wo) / bs.pdf);
+        Mask valid = lit && dr::all(dr::isfinite(weight));
+        bs.pdf = dr::select(valid, bs.pdf, 0.f);
+        return { bs, colour(weight, si, valid) };
     }
 
     /// Linear RGB as the variant's kind of colour, where \c active.
