@@ -74,17 +74,27 @@ impl Lobes {
     /// each view's albedo. Deterministic; around two and a half thousand evaluations of `brdf`.
     #[must_use]
     pub fn fit(brdf: &impl Brdf, alphas: &[[f32; 2]]) -> Lobes {
-        let views: Vec<Vec<Probe>> = PROBE_VIEWS.iter().map(|&cos| probe_view(brdf, cos, alphas)).collect();
+        let candidates: Vec<(usize, Lobes)> = (0..alphas.len())
+            .flat_map(|index| (0..=WEIGHT_STEPS).map(move |step| (index, step)))
+            .map(|(index, step)| {
+                let t = step as f32 / WEIGHT_STEPS as f32;
+                let specular_weight = MIN_SHARE + (1.0 - 2.0 * MIN_SHARE) * t;
+                (index, Lobes { alpha: alphas[index], specular_weight })
+            })
+            .collect();
+        let mut moments = vec![0.0; candidates.len()];
+        // View by view: the probes of one are tens of kilobytes, and whoever opens a library holds them.
+        for cos_view in PROBE_VIEWS {
+            let probes = probe_view(brdf, cos_view, alphas);
+            for (moment, (index, lobes)) in moments.iter_mut().zip(&candidates) {
+                *moment += lobes.relative_moment(&probes, *index);
+            }
+        }
         let mut best = Lobes { alpha: alphas[0], specular_weight: 0.5 };
         let mut least = f64::INFINITY;
-        for (candidate, &alpha) in alphas.iter().enumerate() {
-            for step in 0..=WEIGHT_STEPS {
-                let t = step as f32 / WEIGHT_STEPS as f32;
-                let lobes = Lobes { alpha, specular_weight: MIN_SHARE + (1.0 - 2.0 * MIN_SHARE) * t };
-                let moment = views.iter().map(|probes| lobes.relative_moment(probes, candidate)).sum();
-                if moment < least {
-                    (best, least) = (lobes, moment);
-                }
+        for (&moment, &(_, lobes)) in moments.iter().zip(&candidates) {
+            if moment < least {
+                (best, least) = (lobes, moment);
             }
         }
         best
