@@ -78,11 +78,11 @@ fn fields_that_are_missing_or_wrong_are_named() {
         ),
         (
             floats("theta_i", &[2], &[0.5, 0.5]),
-            "tiny.bsdf: field `theta_i`: found [0.5, 0.5], expected strictly increasing numbers",
+            "tiny.bsdf: field `theta_i`: found 0.5 before 0.5, expected strictly increasing numbers",
         ),
         (
             floats("phi_i", &[0], &[]),
-            "tiny.bsdf: field `phi_i`: found [], expected strictly increasing numbers",
+            "tiny.bsdf: field `phi_i`: found none, expected strictly increasing numbers",
         ),
         (
             floats("phi_i", &[3], &[-3.1, -3.0, -1.0]),
