@@ -3,6 +3,7 @@
 import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,11 @@ def command_line(target_dir):
     """The binary ``glimt``."""
     if shutil.which("cargo") is None:
         pytest.skip("cargo is not installed")
-    build = ["cargo", "build", "--release", "--package", "glimt-cli", "--target-dir", target_dir]
-    subprocess.run(build, cwd=ROOT, check=True)
+    # The packages that an installation builds, in one call as there: with the features of one alone, Cargo
+    # would compile what all share anew.
+    packages = [f"--package=glimt-{name}" for name in ("ffi", "py", "cli")]
+    build = ["cargo", "build", "--release", "--locked", *packages, "--target-dir", target_dir]
+    subprocess.run(build, cwd=ROOT, check=True, env={**os.environ, "PYO3_PYTHON": sys.executable})
     return target_dir / "release" / "glimt"
 
 
