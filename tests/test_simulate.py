@@ -41,7 +41,7 @@ def test_a_fit_looks_like_the_bsdf(command_line, tmp_path, options):
     light, view = hemisphere(5000, 1, 0.2), hemisphere(5000, 2, 0.2)
     truth = np.array(mi.load_dict(PLASTIC).eval(mi.BSDFContext(), interaction(view), mi.Vector3f(light)))
     f_cos = library.material().eval(light.T, view.T) * light[2][:, None]
-    assert np.mean(np.abs(f_cos - truth.T)) < 0.05 * truth.mean()
+    assert np.mean(np.abs(f_cos - truth.T)) < 0.1 * truth.mean()
 
 
 def test_a_bsdf_that_is_not_there_is_named(command_line, tmp_path):

@@ -93,6 +93,9 @@ def evaluator(mi, bsdf, variant):
         return np.ascontiguousarray(f.T, "<f4")
 
     def batch(pairs):
+        # Dr.Jit has no operations on nothing.
+        if pairs.shape[1] == 0:
+            return np.zeros((0, 3), "<f4")
         light, view = mi.Vector3f(pairs[:3]), mi.Vector3f(pairs[3:])
         value = bsdf.eval(context, interaction(view, pairs.shape[1]), light)
         return without_cosine(np.array(value), pairs)
@@ -102,7 +105,8 @@ def evaluator(mi, bsdf, variant):
             light, view = (mi.Vector3f(*(float(x) for x in v)) for v in (pair[:3], pair[3:]))
             return np.array(bsdf.eval(context, interaction(view, 0), light))
 
-        return without_cosine(np.stack([value(pair) for pair in pairs.T], axis=1), pairs)
+        values = [value(pair) for pair in pairs.T]
+        return without_cosine(np.stack(values, axis=1) if values else np.zeros((3, 0)), pairs)
 
     return one_by_one if variant.startswith("scalar") else batch
 
