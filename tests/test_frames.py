@@ -15,13 +15,15 @@ def frames(request):
     return subprocess.run(command, input=json.dumps(request), capture_output=True, text=True)
 
 
-def test_noise_falls_with_samples_and_another_bsdf_stays_apart():
+@pytest.mark.parametrize("scene", ["sphere", "room"])
+def test_noise_falls_with_samples_and_another_bsdf_stays_apart(scene):
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.9}}
     request = {
         "bsdfs": {"grey": grey, "white": white},
         "reference": "grey",
         "variants": ["scalar_rgb"],
+        "scenes": [scene],
         "spp": {"scalar_rgb": [1, 16]},
         "rounds": 1,
         "size": 16,
@@ -29,7 +31,7 @@ def test_noise_falls_with_samples_and_another_bsdf_stays_apart():
     }
     done = frames(request)
     assert done.returncode == 0, done.stderr
-    curves = json.loads(done.stdout)["scalar_rgb"]
+    curves = json.loads(done.stdout)[scene]["scalar_rgb"]
     for few, many in curves.values():
         assert few["spp"] == 1 and many["spp"] == 16 and few["seconds"] > 0 and many["seconds"] > 0
         assert many["noise"] < 0.5 * few["noise"]

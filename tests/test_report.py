@@ -3,14 +3,26 @@
 import csv
 import html
 import json
+import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SMALL = ("--pairs", "4000", "--size", "24", "--spp", "16", "--rounds", "1")
+
+#: Renders small frames, whatever it is asked for.
+QUICK_PYTHON = """#!{python}
+import sys
+from glimt import frames
+spp = {{"scalar_rgb": [1, 4]}}
+frames.DEFAULTS.update(size=16, converged=256, rounds=1, variants=["scalar_rgb"], spp=spp)
+sys.argv = ["frames", "-"]
+sys.exit(frames.main())
+"""
 
 #: Sets in the title of a page how the report in its frame fits.
 PROBE = """<!doctype html><meta charset=utf-8><link rel=icon href='data:,'>
@@ -74,6 +86,29 @@ def test_a_second_run_measures_nothing_again(command_line, report):
     done = glimt(command_line, "report", *arguments, *SMALL, "-o", directory)
     assert done.returncode == 0, done.stderr
     assert {path: path.stat().st_mtime_ns for path in (directory / "cache").iterdir()} == kept
+
+
+def test_whole_frames_of_every_model_and_sampler(command_line, samples, tmp_path):
+    """A Python that renders little stands in for the one that renders for minutes."""
+    pytest.importorskip("mitsuba", reason="Mitsuba is not installed")
+    pytest.importorskip("glimt.frames", reason="the package is not installed: pip install .")
+    python = tmp_path / "python"
+    python.write_text(QUICK_PYTHON.format(python=sys.executable))
+    python.chmod(0o755)
+    command = [command_line, "report", *samples, *SMALL, "--frames", "paint", "-o", tmp_path / "report"]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "GLIMT_PYTHON": python})
+    assert done.returncode == 0, done.stderr
+    study = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert set(study["frames"]["scenes"]) == {"sphere", "room"}
+    for variants in study["frames"]["scenes"].values():
+        curves = variants["scalar_rgb"]
+        models = {f"{name}{sampler}" for name in ("measurement", "source") for sampler in ("", ", table")}
+        assert set(curves) == {*models, "Mitsuba's measured", "Mitsuba's principled"}
+        # The same reflectance by another sampler is another noise about the same image.
+        mine, theirs = (curves[name][-1] for name in ("measurement, table", "Mitsuba's measured"))
+        assert max(mine["rmse"] / mine["noise"], theirs["rmse"] / theirs["noise"]) < 1.3
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert "At equal time" in page and "room, scalar_rgb" in page
 
 
 def test_without_a_model_it_says_what_to_do(command_line, samples, tmp_path):

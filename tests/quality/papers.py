@@ -1,15 +1,20 @@
 """The tables of the papers, made again with glimt's fits: one command each.
 
-    python tests/quality/papers.py sizes      hybrid, neural, GGX at equal parameters (table 1, figures 4, 5)
-    python tests/quality/papers.py ablation   forms of the hybrid model at 32x3 (table 2)
-    python tests/quality/papers.py half       half of the materials in training, half added (table 3)
-    python tests/quality/papers.py time       ns for every size (table 4)
-    python tests/quality/papers.py sampling   variance of samplers (figures 9 and 10)
+    python tests/quality/papers.py sizes         hybrid, neural, GGX of equal size (table 1, figures 4, 5)
+    python tests/quality/papers.py ablation      forms of the hybrid model at 32x3 (table 2)
+    python tests/quality/papers.py half          half of the materials in training, half added (table 3)
+    python tests/quality/papers.py time          ns for every size (table 4)
+    python tests/quality/papers.py sampling      variance of samplers (figures 9 and 10)
 
-Tables and figures are those of the hybrid paper. Materials are the published NBRDF networks for MERL, since
-the measurements themselves cannot be passed on: smooth stand-ins, so that errors are against NBRDF. Fits
-follow the paper (--paper) for --steps steps, of which the paper takes 200,000; --own follows glimt's recipe
-instead. Fits that are in --work are not made again.
+    python tests/quality/papers.py spherical     spherical primitives, NBRDF, factor tables, GGX (its table 3)
+    python tests/quality/papers.py quantisation  features, 4-bit features, a codebook (its table 4)
+    python tests/quality/papers.py grids         its configurations and pixelations (its figure 8)
+
+The first five are tables of the hybrid paper. Their materials are the published NBRDF networks for MERL,
+since the measurements themselves cannot be passed on: smooth stand-ins, so that errors are against NBRDF.
+Fits follow the paper (--paper) for --steps steps, of which the paper takes 200,000; --own follows glimt's
+recipe instead. The last three are of the paper on spherical primitives, on the twelve RGL measurements; their
+fits differ from the paper's as docs/spherical.md says. Fits that are in --work are not made again.
 """
 
 import argparse
@@ -21,20 +26,22 @@ from pathlib import Path
 import numpy as np
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
+MERL, RGL = SHARED / "nbrdf" / "merl", SHARED / "rgl"
 NETS = ["16x2", "16x3", "32x2", "32x3", "64x2", "64x3"]
 #: Numbers of a material that are not its latent code: k_d, η and α.
 ANALYTIC = 8
+#: The spherical paper's configuration but for the codebook, and its bits.
+SPHERICAL = {"grids": "lv", "nside": 64, "features": 16, "net": "64x2"}
+CODEBOOK = ("--codebook", "9")
 
 
 class Workshop:
     """Where fits are made and found again."""
 
-    def __init__(self, arguments):
-        self.materials = sorted(arguments.materials.glob("*.npz")) or sorted(
-            arguments.materials.glob("*.bsdf")
-        )
+    def __init__(self, directory, arguments):
+        self.materials = sorted(directory.glob("*.npz")) or sorted(directory.glob("*.bsdf"))
         if not self.materials:
-            raise SystemExit(f"{arguments.materials} holds no materials (.npz, .bsdf)")
+            raise SystemExit(f"{directory} holds no materials (.npz, .bsdf)")
         self.directory = arguments.work
         self.directory.mkdir(parents=True, exist_ok=True)
         self.recipe = [] if arguments.own else ["--paper"]
@@ -44,10 +51,14 @@ class Workshop:
 
     def fit(self, name, *options, materials=None):
         """The library of that name, fitted now if there is none."""
-        path = self.directory / f"{self.prefix}-{name}.safetensors"
+        files = self.materials if materials is None else materials
+        return self.made(f"{self.prefix}-{name}", *self.recipe, *options, files=files)
+
+    def made(self, name, *options, files=None):
+        """The library of that name, fitted by exactly these options."""
+        path = self.directory / f"{name}.safetensors"
         if not path.exists():
-            files = self.materials if materials is None else materials
-            self.run("fit", *self.recipe, *options, "-o", path, *files)
+            self.run("fit", *options, "-o", path, *(files or self.materials))
         return path
 
     def run(self, *arguments):
@@ -61,6 +72,13 @@ class Workshop:
     def neural(self, net, latent=12):
         options = ("--net", net, "--latent", str(latent), *self.steps)
         return self.fit(f"neural-{net}-l{latent}", "--model", "neural", *options)
+
+    def spherical(self, *options, **form):
+        """The paper's configuration with something else in it, and its name in words."""
+        form = {**SPHERICAL, **form}
+        words = [word for key, value in form.items() for word in (f"--{key}", str(value))]
+        name = "-".join(["spherical", *map(str, form.values()), *(word.strip("-") for word in options)])
+        return self.made(name, "--model", "spherical", *words, *options, *self.steps)
 
     def ggx(self):
         return self.fit("ggx", "--model", "ggx")
@@ -177,13 +195,89 @@ def sampling(shop, _):
         print(f"{name:24}" + "".join(f"{value:10.4f}" for value in means))
 
 
-COMMANDS = {"sizes": sizes, "ablation": ablation, "half": half, "time": time, "sampling": sampling}
+def spherical(shop, _):
+    """Mean image errors under studio light, on the materials that all models have and on all."""
+    named = {
+        "GGX": shop.made("ggx", "--model", "ggx"),
+        "factor tables": shop.made("factor", "--model", "factor"),
+        "NBRDF": SHARED / "nbrdf" / "rgl",
+        "spherical, the paper's form": shop.spherical(*CODEBOOK),
+        "spherical, glimt's default": shop.made("spherical-default", "--model", "spherical", *shop.steps),
+    }
+    quick = ("--pairs", "100000", "--size", "96", "--rounds", "1")
+    rows, _ = shop.report("spherical", named.values(), *quick)
+    by_path = {path: materials_of(rows, path) for path in named.values()}
+    common = set.intersection(*(set(of) for of in by_path.values()))
+    keys = ["studio_mae", "studio_rmse", "studio_ssim", "studio_psnr", "smape"]
+    print(f"{'':30}{'materials':>10}{'MAE':>9}{'RMSE':>9}{'SSIM':>9}{'PSNR':>9}{'SMAPE':>9}")
+    for label, path in named.items():
+        of = by_path[path]
+        for names in [common] if len(of) == len(common) else [common, set(of)]:
+            means = [np.mean([float(of[name][key]) for name in names]) for key in keys]
+            print(f"{label:30}{len(names):10}" + "".join(f"{value:9.4f}" for value in means))
+
+
+def materials_of(rows, path):
+    """The report's rows of a model's file by material; a directory of NBRDF networks is one model."""
+    model = "nbrdf" if path.is_dir() else path.stem
+    return {row["material"]: row for row in rows if row["model"] == model}
+
+
+def compared(shop, name, libraries):
+    """Prints the error of each library over the materials, and its bytes a material."""
+    quick = ("--pairs", "1000000", "--size", "16", "--spp", "1", "--rounds", "1")
+    rows, _ = shop.report(name, libraries.values(), *quick)
+    print(f"{'':34}{'MSE of f':>12}{'log-MSE':>11}{'SMAPE':>9}{'log-MAE':>10}{'kB':>9}")
+    for label, library in libraries.items():
+        of = materials_of(rows, library).values()
+        rmse, log_mse, smape, log_mae = (
+            np.array([float(row[key]) for row in of]) for key in ("rmse", "log_mse", "smape", "log_mae")
+        )
+        means = f"{(rmse**2).mean():12.4g}{log_mse.mean():11.3g}{smape.mean():9.4f}{log_mae.mean():10.5f}"
+        kilobytes = np.mean([float(row["bytes_per_material"]) for row in of]) / 1000
+        print(f"{label:34}{means}{kilobytes:9.1f}", flush=True)
+
+
+def quantisation(shop, _):
+    types = {
+        "float16 features": ("--table-type", "f16"),
+        "4-bit features": ("--table-type", "i4"),
+        "codebook of 9 bits": CODEBOOK,
+    }
+    compared(shop, "quantisation", {label: shop.spherical(*options) for label, options in types.items()})
+
+
+def grids(shop, _):
+    """One part of the configuration after the other, on grids a quarter as fine as the paper's."""
+    forms = {"N 16, 9 bits": {}}
+    forms |= {f"network {net}": {"net": net} for net in ("16x2", "32x2")}
+    forms |= {f"N {nside}": {"nside": nside} for nside in (8, 32)}
+    forms |= {f"{k} features": {"features": k} for k in (4, 8)}
+    libraries = {label: shop.spherical(*CODEBOOK, **{"nside": 16, **form}) for label, form in forms.items()}
+    for bits in ("5", "7"):
+        libraries[f"{bits} bits"] = shop.spherical("--codebook", bits, nside=16)
+    for other in ("lat-long", "fibonacci"):
+        libraries[other] = shop.spherical(*CODEBOOK, "--pixelation", other, nside=16)
+    compared(shop, "grids", libraries)
+
+
+#: What there is, and the materials it is made on.
+COMMANDS = {
+    "sizes": (sizes, MERL),
+    "ablation": (ablation, MERL),
+    "half": (half, MERL),
+    "time": (time, MERL),
+    "sampling": (sampling, MERL),
+    "spherical": (spherical, RGL),
+    "quantisation": (quantisation, RGL),
+    "grids": (grids, RGL),
+}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("table", choices=COMMANDS)
-    parser.add_argument("--materials", type=Path, default=SHARED / "nbrdf" / "merl", help="directory")
+    parser.add_argument("--materials", type=Path, help="directory of other materials (.npz, .bsdf)")
     parser.add_argument("--work", type=Path, default=Path("papers"), help="where fits are kept")
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--own", action="store_true", help="glimt's recipe instead of the paper's")
@@ -193,7 +287,8 @@ def main():
     parser.add_argument("--envmap", type=Path, help="environment map for image errors (.exr)")
     parser.add_argument("--glimt", default="glimt", help="the command")
     arguments = parser.parse_args()
-    COMMANDS[arguments.table](Workshop(arguments), arguments)
+    command, materials = COMMANDS[arguments.table]
+    command(Workshop(arguments.materials or materials, arguments), arguments)
 
 
 if __name__ == "__main__":

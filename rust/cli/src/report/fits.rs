@@ -42,16 +42,12 @@ pub fn fit(arguments: &Arguments, truths: &[Truth]) -> Result<Vec<Model>> {
     Ok(models)
 }
 
-/// The sizes in which to fit a model; `None` where it has none to choose.
+/// The sizes in which to fit a model; `None` is what `glimt fit` takes by itself.
 fn sizes(model: ModelName, asked: &[Net]) -> Vec<Option<Net>> {
-    if !model.has_network() {
+    if asked.is_empty() || !model.has_network() {
         return vec![None];
     }
-    if asked.is_empty() {
-        vec![Some(Net { width: 32, layers: 2 })]
-    } else {
-        asked.iter().copied().map(Some).collect()
-    }
+    asked.iter().copied().map(Some).collect()
 }
 
 fn fit_one(
@@ -61,14 +57,14 @@ fn fit_one(
     model: ModelName,
     net: Option<Net>,
 ) -> Result<Model> {
-    let model = model.to_possible_value().expect("every model has a name").get_name().to_owned();
+    let kind = model.to_possible_value().expect("every model has a name").get_name().to_owned();
     let net = net.map(|Net { width, layers }| format!("{width}x{layers}"));
-    let name = net.iter().fold(model.clone(), |name, net| format!("{name}-{net}"));
+    let name = net.iter().fold(kind.clone(), |name, net| format!("{name}-{net}"));
     let mut options =
-        vec!["fit".to_owned(), "--model".into(), model, "--seed".into(), arguments.seed.to_string()];
-    if let Some(net) = net {
-        options.extend(["--net".into(), net]);
-        options.extend(arguments.steps.iter().flat_map(|steps| ["--steps".into(), steps.to_string()]));
+        vec!["fit".to_owned(), "--model".into(), kind, "--seed".into(), arguments.seed.to_string()];
+    options.extend(net.into_iter().flat_map(|net| ["--net".into(), net]));
+    if let Some(steps) = arguments.steps.filter(|_| model.has_network()) {
+        options.extend(["--steps".into(), steps.to_string()]);
     }
     let path = directory.join(format!("{name}.safetensors"));
     let record_path = path.with_extension("json");

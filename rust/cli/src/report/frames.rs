@@ -6,7 +6,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
-use glimt_report::study::{Frame, Frames, MEASUREMENT};
+use glimt_report::study::MEASUREMENT;
+use glimt_report::study::frames::{Curves, Frames};
 use serde_json::{Value, json};
 
 use super::cache::Cache;
@@ -15,7 +16,7 @@ use crate::Usage;
 use crate::simulated::{PYTHON, python};
 
 /// What [`Frames`] holds.
-type Variants = BTreeMap<String, BTreeMap<String, Vec<Frame>>>;
+type Scenes = BTreeMap<String, BTreeMap<String, Curves>>;
 
 /// Renders a material with every model that has it, or takes what was kept.
 ///
@@ -31,33 +32,41 @@ pub fn render(opponents: &Opponents, material: &str, cache: &Cache) -> Result<Fr
     let request = request(truth, &models)?;
     let hashes: Vec<&str> = models.iter().map(|(model, _)| model.sha256.as_str()).collect();
     let key = json!(["frames", request, truth.sha256, hashes]);
-    let variants = cache.get(&key, || ask(&request))?;
-    Ok(Frames { material: truth.name.clone(), variants })
+    let scenes = cache.get(&key, || ask(&request))?;
+    Ok(Frames { material: truth.name.clone(), scenes })
 }
 
-/// What `glimt.frames` is asked for: the measurement by its own sampler, and every model.
+/// What `glimt.frames` is asked for: the measurement and every model, by their own samplers and by tables.
 fn request(truth: &Truth, models: &[(&Model, String)]) -> Result<Value> {
     let absolute = |path: &Path| -> Result<String> {
         let path = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
         Ok(path.to_string_lossy().into_owned())
     };
-    let glimt = |file: &Path, material: &str| -> Result<Value> {
-        Ok(json!({"type": "glimt", "filename": absolute(file)?, "material": material}))
+    let mut bsdfs: BTreeMap<String, Value> = BTreeMap::new();
+    let mut add = |name: &str, file: &Path, material: &str| -> Result<()> {
+        let bsdf = json!({"type": "glimt", "filename": absolute(file)?, "material": material});
+        let mut by_table = bsdf.clone();
+        by_table["sampler"] = json!("table");
+        bsdfs.extend([(name.to_owned(), bsdf), (format!("{name}, table"), by_table)]);
+        Ok(())
     };
-    let mut bsdfs: BTreeMap<&str, Value> = BTreeMap::new();
-    bsdfs.insert(MEASUREMENT, glimt(&truth.file, &truth.name)?);
+    add(MEASUREMENT, &truth.file, &truth.name)?;
+    for (model, material) in models {
+        add(&model.name, model.file_of(material), material)?;
+    }
     if truth.format == "rgl" {
-        bsdfs.insert("Mitsuba's measured", json!({"type": "measured", "filename": absolute(&truth.file)?}));
+        bsdfs.insert(
+            "Mitsuba's measured".to_owned(),
+            json!({"type": "measured", "filename": absolute(&truth.file)?}),
+        );
     }
     // A point of reference for time and noise; nobody fitted it.
-    bsdfs.insert("Mitsuba's principled", json!({"type": "principled", "roughness": 0.3, "metallic": 0.5}));
-    for (model, material) in models {
-        bsdfs.insert(&model.name, glimt(model.file_of(material), material)?);
-    }
+    let principled = json!({"type": "principled", "roughness": 0.3, "metallic": 0.5});
+    bsdfs.insert("Mitsuba's principled".to_owned(), principled);
     Ok(json!({"bsdfs": bsdfs, "reference": MEASUREMENT}))
 }
 
-fn ask(request: &Value) -> Result<Variants> {
+fn ask(request: &Value) -> Result<Scenes> {
     let python = python();
     let mut process = Command::new(&python);
     process.args(["-m", "glimt.frames", "-"]).stdin(Stdio::piped()).stdout(Stdio::piped());

@@ -42,10 +42,10 @@ pub struct Arguments {
     /// Models to fit to the measurements, as glimt fit does by default
     #[arg(long, value_enum, value_name = "MODEL", value_delimiter = ',')]
     models: Vec<ModelName>,
-    /// Sizes of the networks of those models that have one [default: 32x2]
+    /// Sizes of the networks of those models that have one [default: as glimt fit]
     #[arg(long, value_name = "WxN", value_parser = parse_net, value_delimiter = ',', requires = "models")]
     sizes: Vec<Net>,
-    /// Steps of the fits [default: as glimt fit]
+    /// Steps of the fits of those models [default: as glimt fit]
     #[arg(long, value_name = "N", requires = "models")]
     steps: Option<u64>,
     /// Environment maps to light spheres with besides lamps and studio (OpenEXR, latitude and longitude)

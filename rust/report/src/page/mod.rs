@@ -1,11 +1,12 @@
 //! A study as one HTML page that needs nothing else, and its plots as files.
 
+mod frames;
 pub mod plot;
 
 use crate::brdf_error::GRAZING_DEGREES;
 use crate::study::curves::{ALBEDO_VIEWS, SLICE_VIEWS, slice_angles};
 use crate::study::noise::SAMPLE_COUNTS;
-use crate::study::{Candidate, Case, DIFFERENCE_SCALE, Frame, MEASUREMENT, Study, Subject};
+use crate::study::{Candidate, Case, DIFFERENCE_SCALE, MEASUREMENT, Study, Subject};
 use plot::{Axes, Curve, Mark, Point, escape, lines, polar, scatter, short, standalone};
 
 /// Style of plots, in a page and in a file.
@@ -201,41 +202,6 @@ fn variance(study: &Study, subjects: &[Subject], key: &str, of_what: &str) -> Pl
     }
 }
 
-/// Work precision in Mitsuba: error and noise of whole frames against their seconds.
-fn frames(study: &Study) -> Vec<Plot> {
-    let Some(frames) = &study.frames else { return Vec::new() };
-    let marks = marks(study);
-    let mark = |(i, name): (usize, &String)| match name.as_str() {
-        MEASUREMENT => truth_mark(),
-        _ => marks.iter().find(|mark| mark.name == *name).cloned().unwrap_or_else(|| Mark {
-            class: format!("sampler s{}", i % SAMPLER_COLOURS),
-            name: name.clone(),
-        }),
-    };
-    let mut plots = Vec::new();
-    for (variant, by_name) in &frames.variants {
-        let of = [
-            ("error", "RMSE to the measurement / mean", (|frame| frame.rmse) as fn(&Frame) -> f64),
-            ("noise", "RMSE to its own converged frame / mean", |frame| frame.noise),
-        ];
-        for (key, name, figure) in of {
-            let curve = |(i, (name, frames)): (usize, (&String, &Vec<Frame>))| {
-                (mark((i, name)), frames.iter().map(|frame| [frame.seconds, figure(frame)]).collect())
-            };
-            let curves: Vec<Curve> = by_name.iter().enumerate().map(curve).collect();
-            let spp: Vec<String> =
-                by_name.values().next().into_iter().flatten().map(|frame| frame.spp.to_string()).collect();
-            plots.push(Plot {
-                name: format!("frames-{}-{key}", file_name(variant)),
-                svg: lines(&curves, ["seconds a frame, one thread", name], Axes::Logarithmic),
-                caption: format!("{}, {variant}: {} samples a pixel", frames.material, spp.join(", ")),
-                legend: curves.into_iter().map(|(mark, _)| mark).collect(),
-            });
-        }
-    }
-    plots
-}
-
 /// The curves of one material.
 fn curves(study: &Study, subject: &Subject) -> Vec<Plot> {
     let marks = marks(study);
@@ -277,7 +243,7 @@ fn curves(study: &Study, subject: &Subject) -> Vec<Plot> {
 pub fn plots(study: &Study) -> Vec<Plot> {
     let mut plots: Vec<Plot> = trade_offs(study).into_iter().flatten().collect();
     plots.push(variance(study, &study.subjects, "variance", "geometric means over the materials"));
-    plots.extend(frames(study));
+    plots.extend(frames::plots(study));
     plots.extend(study.subjects.iter().flat_map(|subject| curves(study, subject)));
     plots
 }
@@ -312,16 +278,7 @@ pub fn html(study: &Study) -> String {
     page += &materials(study);
     let noise = variance(study, &study.subjects, "variance", "geometric means over the materials");
     page += &plots_section(study, "Noise", "What a renderer sees that samples the BRDF alone.", &[noise]);
-    let frames = frames(study);
-    if !frames.is_empty() {
-        page += &plots_section(
-            study,
-            "Work precision",
-            "A sphere on a floor under an even sky and a lamp, rendered by Mitsuba. The error falls with the noise and then stays \
-             at what the model cannot do. principled is fitted to nothing and stands for time and noise.",
-            &frames,
-        );
-    }
+    page += &frames::section(study);
     for (i, subject) in study.subjects.iter().enumerate() {
         page += &section(study, subject, i == 0);
     }

@@ -259,7 +259,7 @@ pub enum Axes {
 }
 
 /// A curve with its points.
-pub type Curve<'a> = (Mark, Vec<[f64; 2]>);
+pub type Curve = (Mark, Vec<[f64; 2]>);
 
 /// Curves.
 #[must_use]

@@ -5,6 +5,7 @@
 //! against the other. Cases are measured one by one and can be kept: nothing in them depends on the others.
 
 pub mod curves;
+pub mod frames;
 pub mod light;
 pub mod noise;
 pub mod pareto;
@@ -24,6 +25,7 @@ use crate::image::difference::Difference;
 use crate::image::exposure::automatic;
 use crate::image::flip::{self, flip};
 use curves::{AlbedoProbes, slices};
+use frames::Frames;
 use light::Light;
 use noise::{Chosen, variance};
 use picture::Picture;
@@ -120,28 +122,6 @@ pub struct Time {
 
 /// The name of the measurement where it stands beside models.
 pub const MEASUREMENT: &str = "measurement";
-
-/// Whole frames of one material in Mitsuba.
-#[derive(Clone, Debug, Serialize)]
-pub struct Frames {
-    /// The material.
-    pub material: String,
-    /// By Mitsuba's variant and the name of the BSDF.
-    pub variants: BTreeMap<String, BTreeMap<String, Vec<Frame>>>,
-}
-
-/// A frame.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Frame {
-    /// Samples a pixel.
-    pub spp: u32,
-    /// Median of the rounds.
-    pub seconds: f64,
-    /// Root mean square difference to the measurement's converged frame, relative to its mean.
-    pub rmse: f64,
-    /// The same to the BSDF's own converged frame: noise alone.
-    pub noise: f64,
-}
 
 /// A measured material: what the models are held against.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -380,6 +360,7 @@ impl Study {
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use super::frames::Frame;
     use super::*;
     use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
@@ -389,13 +370,14 @@ pub(crate) mod tests {
     }
 
     fn frames() -> Frames {
-        let frame = |spp: u32| {
-            let noise = 1.0 / f64::from(spp).sqrt();
-            Frame { spp, seconds: 0.01 * f64::from(spp), rmse: noise + 0.1, noise }
+        let frame = |spp: f64| {
+            let noise = 1.0 / spp.sqrt();
+            Frame { spp, seconds: 0.01 * spp, rmse: noise + 0.1, noise }
         };
-        let curves = [MEASUREMENT, "same", "stock"].map(|name| (name.to_owned(), vec![frame(1), frame(16)]));
+        let names = [MEASUREMENT, "same", "same, table", "stock"];
+        let curves = names.map(|name| (name.to_owned(), vec![frame(1.0), frame(16.0)]));
         let variants = BTreeMap::from([("scalar_rgb".to_owned(), curves.into())]);
-        Frames { material: "brass <raw>".into(), variants }
+        Frames { material: "brass <raw>".into(), scenes: [("sphere".to_owned(), variants)].into() }
     }
 
     /// A study of one material and two models, the first of which is the truth.

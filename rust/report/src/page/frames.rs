@@ -1,0 +1,100 @@
+//! Work precision in Mitsuba, as plots and as a table at equal time.
+
+use super::plot::{Axes, Curve, Mark, escape, lines};
+use super::{Plot, SAMPLER_COLOURS, cell, file_name, marks, plots_section, truth_mark};
+use crate::study::frames::{Curves, Frame, Frames, equal_seconds, frame_at};
+use crate::study::{MEASUREMENT, Study};
+
+/// Error and noise of whole frames against their seconds, two plots for each scene and variant.
+pub fn plots(study: &Study) -> Vec<Plot> {
+    let Some(frames) = &study.frames else { return Vec::new() };
+    let mut plots = Vec::new();
+    for (scene, variant, curves) in each(frames) {
+        let of = [
+            ("error", "RMSE to the measurement / mean", (|frame| frame.rmse) as fn(&Frame) -> f64),
+            ("noise", "RMSE to its own converged frame / mean", |frame| frame.noise),
+        ];
+        for (key, name, figure) in of {
+            let drawn = drawn(study, curves, figure);
+            let spp: Vec<String> =
+                curves.values().next().into_iter().flatten().map(|frame| frame.spp.to_string()).collect();
+            plots.push(Plot {
+                name: format!("frames-{}-{}-{key}", file_name(scene), file_name(variant)),
+                svg: lines(&drawn, ["seconds a frame, one thread", name], Axes::Logarithmic),
+                caption: format!(
+                    "{}, {scene}, {variant}: {} samples a pixel",
+                    frames.material,
+                    spp.join(", ")
+                ),
+                legend: drawn.into_iter().map(|(mark, _)| mark).collect(),
+            });
+        }
+    }
+    plots
+}
+
+/// The section of a page; empty where no frames were asked for.
+pub fn section(study: &Study) -> String {
+    let Some(frames) = &study.frames else { return String::new() };
+    let page = plots_section(
+        study,
+        "Work precision",
+        "Rendered by Mitsuba: the sphere stands on a floor under an even sky and a lamp; the room is closed, its floor and two \
+         spheres have the material, and light is reflected up to five times. The error falls with the noise and \
+         then stays at what the model cannot do. “table” is the same reflectance with a table sampler. \
+         principled is fitted to nothing and stands for time and noise.",
+        &plots(study),
+    );
+    let tables: String =
+        each(frames).map(|(scene, variant, curves)| equal_time(scene, variant, curves)).collect();
+    page + "<section><h2>At equal time</h2><p>Samples a pixel that fit into the time, error and noise after it, \
+            between the frames of the curves above. A dash: the first frame takes longer.</p>\
+            <div class=wide>"
+        + &tables
+        + "</div></section>\n"
+}
+
+fn each(frames: &Frames) -> impl Iterator<Item = (&str, &str, &Curves)> {
+    frames.scenes.iter().flat_map(|(scene, variants)| {
+        variants.iter().map(move |(variant, curves)| (scene.as_str(), variant.as_str(), curves))
+    })
+}
+
+/// Curves with their marks: a model has its colour, and its table sampler the same, dashed.
+fn drawn(study: &Study, curves: &Curves, figure: fn(&Frame) -> f64) -> Vec<Curve> {
+    let marks = marks(study);
+    let mark = |(i, name): (usize, &String)| {
+        let (model, sampler) = name.split_once(", ").unwrap_or((name, ""));
+        let of_model = marks.iter().find(|mark| mark.name == model).cloned();
+        let mark = if model == MEASUREMENT { Some(truth_mark()) } else { of_model };
+        let class = match mark {
+            Some(mark) if sampler.is_empty() => mark.class,
+            Some(mark) => format!("{} dashed", mark.class),
+            None => format!("sampler s{}", i % SAMPLER_COLOURS),
+        };
+        Mark { class, name: name.clone() }
+    };
+    let points = |frames: &Vec<Frame>| frames.iter().map(|frame| [frame.seconds, figure(frame)]).collect();
+    let curve = |(i, (name, frames)): (usize, (&String, &Vec<Frame>))| (mark((i, name)), points(frames));
+    curves.iter().enumerate().map(curve).collect()
+}
+
+fn equal_time(scene: &str, variant: &str, curves: &Curves) -> String {
+    let seconds = equal_seconds(curves);
+    let mut table = format!(
+        "<table><tr><th>{}, {}, {seconds:.2} s<th>samples<th>RMSE to the measurement<th>noise",
+        escape(scene),
+        escape(variant)
+    );
+    for (name, frames) in curves {
+        let frame = frame_at(frames, seconds);
+        table += &format!(
+            "<tr><td>{}<td>{}<td>{}<td>{}",
+            escape(name),
+            cell(frame.map(|frame| frame.spp), 1),
+            cell(frame.map(|frame| frame.rmse), 3),
+            cell(frame.map(|frame| frame.noise), 3)
+        );
+    }
+    table + "</table>"
+}
