@@ -1,0 +1,315 @@
+//! Materials at the edges of what their numbers can be, a list for each kind.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use glimt_core::analytic::{Analytic, Parameters, Specular};
+use glimt_core::factor::{self, Factor, Factors, Interpolation, Product};
+use glimt_core::features::Inputs;
+use glimt_core::ggx::Ggx;
+use glimt_core::healpix::Healpix;
+use glimt_core::hybrid::{Composition, Form, Hybrid, MAX_BOUND};
+use glimt_core::microfacet::{ETA_RANGE, MIN_ALPHA, Microfacet};
+use glimt_core::nbrdf::{self, Nbrdf};
+use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::neural::{self, Neural, Shared};
+use glimt_core::spherical::pixelation::Pixelation;
+use glimt_core::spherical::store::Store;
+use glimt_core::spherical::tables::{self, Grids, Layout};
+use glimt_core::spherical::{self, Features, Spherical};
+
+use super::Case;
+use super::pairs::direction;
+
+pub fn ggx() -> Vec<Case> {
+    let mut cases = Vec::new();
+    let mut add = |name: String, microfacet| {
+        let material = Ggx::new(microfacet).expect("parameters are in their ranges").into();
+        cases.push(Case::new(name, material));
+    };
+    for alpha in [MIN_ALPHA, 1e-3, 1e-2, 0.1, 1.0] {
+        for eta in [1.0, 1.0 + f32::EPSILON, 1.5, ETA_RANGE[1]] {
+            let name = format!("alpha {alpha:e}, eta {eta}");
+            add(name, Microfacet { kd: [0.0, 0.5, 1.0], eta: [eta; 3], alpha: [alpha; 2] });
+        }
+    }
+    for alpha in [[MIN_ALPHA, 1.0], [1.0, MIN_ALPHA], [1e-3, 0.1]] {
+        let name = format!("alpha {:e} by {:e}", alpha[0], alpha[1]);
+        add(name, Microfacet { kd: [0.0; 3], eta: [1.0 + 1e-3, 2.0, 5.0], alpha });
+    }
+    // The narrowest lobe, and the narrowest in one direction.
+    let narrow = [0, cases.len() - 3].map(|i| cases[i].sampled("table"));
+    cases.extend(narrow);
+    cases
+}
+
+/// What may be extreme about a network.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Weights {
+    /// Nothing.
+    Ordinary,
+    /// The latent code is a thousand times what fits find.
+    LargeLatent,
+    /// Every weight is the largest number of float16, of either sign.
+    LargestHalf,
+    /// Every weight is the smallest number of float16, of either sign.
+    SmallestHalf,
+    /// The exponent is far above its bound everywhere.
+    AboveBound,
+    /// The exponent is far below what exp can return everywhere.
+    BelowFloor,
+}
+
+const WEIGHTS: [Weights; 6] = [
+    Weights::Ordinary,
+    Weights::LargeLatent,
+    Weights::LargestHalf,
+    Weights::SmallestHalf,
+    Weights::AboveBound,
+    Weights::BelowFloor,
+];
+
+impl Weights {
+    /// A network of these sizes.
+    fn network(self, sizes: &[usize], features: usize, activation: Activation) -> Network {
+        let mut layers: Vec<Layer> = sizes
+            .windows(2)
+            .map(|w| {
+                let scale = 2.0 / (w[0] as f32).sqrt();
+                Layer { weight: self.numbers(w[0] * w[1], scale), bias: self.numbers(w[1], 1.0) }
+            })
+            .collect();
+        let shift = match self {
+            Weights::AboveBound => 1e4,
+            Weights::BelowFloor => -1e4,
+            _ => 0.0,
+        };
+        let last = layers.last_mut().expect("networks have layers");
+        last.bias.iter_mut().for_each(|bias| *bias += shift);
+        Network::new(layers, features, activation).expect("the sizes fit together")
+    }
+
+    /// Numbers of both signs that follow a fixed pattern.
+    fn numbers(self, count: usize, scale: f32) -> Vec<f32> {
+        const LARGEST_HALF: f32 = 65_504.0;
+        const SMALLEST_HALF: f32 = 5.960_464_5e-8;
+        // A linear congruential generator (Numerical Recipes, §7.1); its upper bits.
+        let mut state = count as u32;
+        (0..count)
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let x = (state >> 8) as f32 / (1 << 24) as f32 - 0.5;
+                match self {
+                    Weights::LargestHalf => LARGEST_HALF.copysign(x),
+                    Weights::SmallestHalf => SMALLEST_HALF.copysign(x),
+                    _ => x * scale,
+                }
+            })
+            .collect()
+    }
+
+    fn latent(self, size: usize) -> Vec<f32> {
+        let scale = if self == Weights::LargeLatent { 1e3 } else { 1.0 };
+        (0..size).map(|i| scale * (1.3 * i as f32).sin()).collect()
+    }
+
+    fn bound(self) -> f32 {
+        if self == Weights::Ordinary { 2.0 } else { MAX_BOUND }
+    }
+}
+
+pub fn hybrid() -> Vec<Case> {
+    const ALL_INPUTS: [Inputs; 5] = [
+        Inputs::Cartesian,
+        Inputs::Isotropic,
+        Inputs::IsotropicReciprocal,
+        Inputs::Anisotropic,
+        Inputs::AnisotropicReciprocal,
+    ];
+    let isotropic = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
+    let mut cases = Vec::new();
+    let mut add = |name: String, form: Form, weights: Weights, alpha: f32, eta: f32| {
+        let features = form.features();
+        let network = weights.network(
+            &[features + 4, 16, 16, form.composition.outputs()],
+            features,
+            Activation::HardGelu,
+        );
+        let wide = if form.inputs.is_isotropic() { alpha } else { (2.0 * alpha).min(1.0) };
+        let microfacet = Microfacet { kd: [0.0, 0.3, 1.0], eta: [eta; 3], alpha: [alpha, wide] };
+        let material = Hybrid::new(form, Arc::new(network), microfacet, weights.latent(4), weights.bound());
+        cases.push(Case::new(name, material.expect("the parts fit together").into()));
+    };
+    for inputs in ALL_INPUTS {
+        add(format!("{inputs:?}"), Form { inputs, ..Form::PAPER }, Weights::Ordinary, 0.2, 1.5);
+        add(
+            format!("{inputs:?}, alpha 1e-4"),
+            Form { inputs, ..Form::PAPER },
+            Weights::Ordinary,
+            MIN_ALPHA,
+            10.0,
+        );
+    }
+    for composition in [Composition::Additive, Composition::LogMultiplicative] {
+        add(format!("{composition:?}"), Form { composition, ..isotropic }, Weights::Ordinary, 0.1, 1.5);
+    }
+    for weights in WEIGHTS {
+        add(
+            format!("{weights:?}, analytic input"),
+            Form { analytic_input: true, ..isotropic },
+            weights,
+            1e-3,
+            2.0,
+        );
+    }
+    for weights in &WEIGHTS[1..] {
+        for composition in [Composition::GatedResidual, Composition::Additive, Composition::LogMultiplicative]
+        {
+            add(
+                format!("{weights:?}, {composition:?}"),
+                Form { composition, ..isotropic },
+                *weights,
+                0.05,
+                1.5,
+            );
+        }
+    }
+    // Weights at the limit of float16: f as uneven as it can be.
+    let uneven =
+        cases.iter().find(|case| case.name.starts_with("LargestHalf")).map(|case| case.sampled("table"));
+    cases.extend(uneven);
+    cases
+}
+
+pub fn neural() -> Vec<Case> {
+    let case = |weights: Weights| {
+        let sizes = [neural::FEATURES + 12, 16, 16, 3];
+        let network = weights.network(&sizes, neural::FEATURES, Activation::HardGelu);
+        let frames = Layer {
+            weight: weights.numbers(neural::FRAME_OUTPUTS * 12, 0.3),
+            bias: weights.numbers(neural::FRAME_OUTPUTS, 0.3),
+        };
+        let shared = Arc::new(Shared { network, frames });
+        let material = Neural::new(shared, weights.latent(12), weights.bound());
+        Case::new(format!("{weights:?}"), material.expect("the parts fit together").into())
+    };
+    WEIGHTS.map(case).into()
+}
+
+pub fn nbrdf() -> Vec<Case> {
+    let case = |weights: Weights| {
+        let sizes = [nbrdf::FEATURES, nbrdf::WIDTH, nbrdf::WIDTH, 3];
+        let network = weights.network(&sizes, nbrdf::FEATURES, Activation::Relu);
+        let material = Nbrdf::new(Arc::new(network)).expect("the parts fit together");
+        Case::new(format!("{weights:?}"), material.into())
+    };
+    // These have no latent code.
+    WEIGHTS.into_iter().filter(|&weights| weights != Weights::LargeLatent).map(case).collect()
+}
+
+pub fn factor() -> Vec<Case> {
+    /// The largest that the model takes.
+    const MAX_SCALE: f32 = 1e12;
+    fn curve<const N: usize>(at: fn(f32) -> f32) -> factor::Curve<N> {
+        [std::array::from_fn(|i| at(i as f32 / N as f32)); 3]
+    }
+    let mut cases = Vec::new();
+    let mut add = |name: &str, factors: Factors| {
+        for interpolation in [Interpolation::Linear, Interpolation::Nearest] {
+            let name = format!("{:?}, {interpolation:?}, {name}", factors.variant());
+            let material = Factor::new(factors.clone(), interpolation).expect("numbers are in their ranges");
+            cases.push(Case::new(name, material.into()));
+        }
+    };
+    let lobe = |x: f32| (-20.0 * x * x).exp();
+    let specular = [MAX_SCALE, 0.0, 1.0];
+    let product =
+        Product { diffuse: [0.0, 0.1, MAX_SCALE], specular, ndf: curve(lobe), fresnel: curve(|x| x * x) };
+    let black = Product { diffuse: [0.0; 3], specular, ndf: curve(|_| 0.0), fresnel: curve(|_| 0.0) };
+    for (name, product) in [("largest", product), ("all zeros", black)] {
+        add(name, Factors::GFromD(product.clone()));
+        add(name, Factors::Naive { product: product.clone(), azimuth: curve(|x| 1.0 - x) });
+        add(name, Factors::IndependentG { product, masking: curve(|x| 1.0 - x) });
+    }
+    let bins = factor::HALF_BINS * factor::DIFF_BINS;
+    add(
+        "steep",
+        Factors::Bivariate((0..bins).map(|i| [MAX_SCALE * lobe(i as f32 / 500.0), 0.0, 1e-30]).collect()),
+    );
+    let tables: Vec<Case> = cases.iter().step_by(6).map(|case| case.sampled("table")).collect();
+    cases.extend(tables);
+    cases
+}
+
+pub fn analytic() -> Vec<Case> {
+    let scale = [1e6, 0.0, 1.0];
+    let (tiny, large) = (f64::from(MIN_ALPHA), 1e6);
+    let lobes = [
+        Specular::CookTorrance { scale, reflectance: 0.0, roughness: tiny },
+        Specular::CookTorrance { scale, reflectance: 1.0, roughness: large },
+        Specular::Ward { scale, roughness: tiny },
+        Specular::Ward { scale, roughness: large },
+        Specular::AshikhminShirley { scale, reflectance: 0.04, sharpness: large },
+        Specular::AshikhminShirley { scale, reflectance: 0.04, sharpness: 0.0 },
+        Specular::LowMicrofacet { scale, slope: large, falloff: 5.0, eta: 1.0 },
+        Specular::LowMicrofacet { scale, slope: large, falloff: -5.0, eta: 10.0 },
+        Specular::ShiftedGamma {
+            scale,
+            alpha: [tiny, 1.0, large],
+            power: [0.5, 50.0, -50.0],
+            fresnel: [[0.04, 1.0, 0.0], [0.0, 1.0, -1.0]],
+            norm: [1.0, large, 1.0],
+            masking: [[1.0, 0.0, 5.0], [-1.0, 0.0, 300.0], [2.0, 0.0, -2.0], [0.5, 0.0, 0.0]],
+        },
+    ];
+    lobes
+        .into_iter()
+        .map(|specular| {
+            let name = format!("{specular:?}");
+            let material = Analytic::new(Parameters { diffuse: [0.0, 0.5, 1.0], specular });
+            Case::new(name, material.expect("parameters are in their ranges").into())
+        })
+        .collect()
+}
+
+pub fn spherical() -> Vec<Case> {
+    let mut cases = Vec::new();
+    let mut add = |name: String, form: tables::Form, weights: Weights| {
+        let layout = Arc::new(Layout::new(form).expect("the form exists"));
+        let network = weights.network(&[form.inputs(), 16, 16, 3], form.inputs(), Activation::HardGelu);
+        // Smooth, as fits leave them.
+        let row = |&(_, place): &(usize, DVec3)| {
+            (0..form.features)
+                .map(move |j| (3.0 * place.dot(direction(0.5, f64::from(j)).as_dvec3())).sin() as f32)
+        };
+        let features =
+            Features { store: Store::F32(layout.places().iter().flat_map(row).collect()), links: None };
+        let bound = if weights == Weights::Ordinary { 6.0 } else { spherical::MAX_BOUND };
+        let material = Spherical::new(layout, Arc::new(network), features, bound);
+        cases.push(Case::new(name, material.expect("the parts fit together").into()));
+    };
+    let form = tables::Form {
+        grids: Grids::Iso,
+        pixelation: Pixelation::Healpix,
+        nside: Healpix::try_from(8).expect("a power of two"),
+        nodes: 40,
+        features: 4,
+        interpolation: tables::Interpolation::Bilinear,
+    };
+    for grids in [Grids::Lv, Grids::Hd, Grids::Iso] {
+        for interpolation in [
+            tables::Interpolation::Bilinear,
+            tables::Interpolation::InverseDistance,
+            tables::Interpolation::Constant,
+        ] {
+            let form = tables::Form { grids, interpolation, ..form };
+            add(format!("{grids:?}, {interpolation:?}"), form, Weights::Ordinary);
+        }
+        // These have no latent code.
+        for weights in WEIGHTS.into_iter().skip(2) {
+            add(format!("{grids:?}, {weights:?}"), tables::Form { grids, ..form }, weights);
+        }
+    }
+    add("LatLong".into(), tables::Form { pixelation: Pixelation::LatLong, ..form }, Weights::Ordinary);
+    cases
+}
