@@ -19,6 +19,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::math::floor;
+use crate::simd::Real;
+
 /// A HEALPix grid of a hemisphere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "u16", into = "u16")]
@@ -37,6 +40,13 @@ pub struct Pixel {
     pub corners: [u32; 4],
     /// p and m within the pixel, each in [0, 1].
     pub at: [f32; 2],
+}
+
+/// Pixels side by side, of whatever hemisphere. Numbers of points are whole numbers below 2²³, which float32
+/// holds exactly.
+pub(crate) struct Pixels<F> {
+    pub corners: [F; 4],
+    pub at: [F; 2],
 }
 
 impl TryFrom<u16> for Healpix {
@@ -76,41 +86,42 @@ impl Healpix {
 
     /// The pixel of a unit vector with z ≥ 0. Whatever the numbers are, the corners are points of the
     /// grid.
-    #[inline(always)]
     #[must_use]
-    pub fn pixel(self, [x, y, z]: [f32; 3]) -> Pixel {
-        let n = self.nside as f32;
-        let (quarter, t) = azimuth(x, y);
-        let in_cap = z > CAP_Z;
-        // 1 − z = (x² + y²)/(1 + z), with no cancellation at the pole.
-        let sigma = (3.0 * (x * x + y * y) / (1.0 + z.abs())).sqrt().min(1.0);
-        let belt = 0.75 * z;
-        let p = n * if in_cap { t * sigma } else { t + 0.5 - belt };
-        let m = n * if in_cap { (1.0 - t) * sigma } else { 1.5 - t - belt };
-        // Edges belong to the pixel before them where the one behind is not of this quarter of the cap,
-        // or has corners two rings below the equator.
-        let last = if in_cap { self.nside - 1 } else { 2 * self.nside - 1 };
-        let column = limit(p as i32, 0, last);
-        let row = limit(m as i32, 0, limit(2 * self.nside - 1 - column, 0, last));
-        let at = [p - column as f32, m - row as f32].map(|x| x.clamp(0.0, 1.0));
-        let corner = |i: i32, j: i32| self.point(quarter, column + i, column + row + i + j);
-        Pixel { corners: [corner(0, 0), corner(1, 0), corner(0, 1), corner(1, 1)], at }
+    pub fn pixel(self, direction: [f32; 3]) -> Pixel {
+        let Pixels { corners, at } = self.pixels(direction);
+        Pixel { corners: corners.map(|corner| corner as u32), at }
     }
 
-    /// The point on `ring` that is the `column`-th pixel edge of a quarter.
+    /// [`Healpix::pixel`] in any number of lanes.
     #[inline(always)]
-    fn point(self, quarter: i32, column: i32, ring: i32) -> u32 {
-        // Rings of the cap have a quarter of `size` points; below it all have N, of which every other
-        // ring's are half a step off, so that a column stands half a step further west on each ring.
-        let size = ring.min(self.nside);
-        let below = ring - size;
-        let count = 4 * size;
-        let place = quarter * size + column - ((below + 1) >> 1);
-        let place = place + if place < 0 { count } else { 0 };
-        let place = place - if place >= count { count } else { 0 };
-        let first = 1 + 2 * size * (size - 1) + 4 * self.nside * below;
+    pub(crate) fn pixels<F: Real>(self, [x, y, z]: [F; 3]) -> Pixels<F> {
+        let n = self.nside as f32;
+        let one = z.splat(1.0);
+        let (quarter, t) = azimuth(x, y);
+        let in_cap = z.splat(CAP_Z).less(z);
+        // 1 − z = (x² + y²)/(1 + z), with no cancellation at the pole.
+        let sigma = ((x * x + y * y) * 3.0 / (z.magnitude() + 1.0)).sqrt().min(one);
+        let belt = z * 0.75;
+        let p = (t * sigma).or_else(in_cap, t + 0.5 - belt) * n;
+        let m = ((one - t) * sigma).or_else(in_cap, z.splat(1.5) - t - belt) * n;
+        // Edges belong to the pixel before them where the one behind is not of this quarter of the cap,
+        // or has corners two rings below the equator.
+        let last = z.splat(n - 1.0).or_else(in_cap, z.splat(2.0 * n - 1.0));
+        let column = limit(floor(p), last);
+        let row = limit(floor(m), limit(z.splat(2.0 * n - 1.0) - column, last));
+        let at = [limit(p - column, one), limit(m - row, one)];
+        let first = column + row;
+        let [near, side, far] =
+            [Ring::new(self, first), Ring::new(self, first + 1.0), Ring::new(self, first + 2.0)];
         // The pole is a ring of one point.
-        if ring == 0 { 0 } else { (first + place) as u32 }
+        let nearest = near.point(quarter, column).or_else(z.splat(0.5).less(first), z.splat(0.0));
+        let corners = [
+            nearest,
+            side.point(quarter, column + 1.0),
+            side.point(quarter, column),
+            far.point(quarter, column + 1.0),
+        ];
+        Pixels { corners, at }
     }
 
     /// Where a point is, as z and azimuth in [0, 2π).
@@ -152,42 +163,80 @@ impl Healpix {
     }
 }
 
-/// x limited to [low, high], as two instructions in a vector.
+/// Points on one ring.
+#[derive(Clone, Copy)]
+struct Ring<F> {
+    /// Of a quarter.
+    size: F,
+    /// By how many columns the ring begins west of azimuth 0.
+    shift: F,
+    /// Its number of points.
+    count: F,
+    /// Number of its first point.
+    first: F,
+}
+
+impl<F: Real> Ring<F> {
+    #[inline(always)]
+    fn new(grid: Healpix, ring: F) -> Self {
+        // Rings of the cap have a quarter of `size` points; below it all have N, of which every other
+        // ring's are half a step off, so that a column stands half a step further west on each ring.
+        let n = grid.nside as f32;
+        let size = ring.min(ring.splat(n));
+        let below = ring - size;
+        let first = size * (size - 1.0) * 2.0 + below * (4.0 * n) + 1.0;
+        Ring { size, shift: floor((below + 1.0) * 0.5), count: size * 4.0, first }
+    }
+
+    /// The point that is the `column`-th pixel edge of a quarter.
+    #[inline(always)]
+    fn point(self, quarter: F, column: F) -> F {
+        let place = quarter * self.size + column - self.shift;
+        let place = (place + self.count).or_else(place.less(place.splat(0.0)), place);
+        let place = place.or_else(place.less(self.count), place - self.count);
+        self.first + place
+    }
+}
+
+/// x limited to [0, high]; 0 in place of NaN.
 #[inline(always)]
-fn limit(x: i32, low: i32, high: i32) -> i32 {
-    x.max(low).min(high)
+pub(crate) fn limit<F: Real>(x: F, high: F) -> F {
+    x.max(x.splat(0.0)).min(high)
 }
 
 /// The azimuth of (x, y) as a whole number of quarter turns, 0 to 3, and what is left of it in [0, 1];
-/// 0 and 0 at the origin.
+/// 0 and 0 at the origin. An axis belongs to the quarter before or behind it.
 #[inline(always)]
-pub(crate) fn azimuth(x: f32, y: f32) -> (i32, f32) {
-    // The half planes that each quarter begins in include their first axis.
-    let north = (y > 0.0) | ((y == 0.0) & (x >= 0.0));
-    let odd = if north { x <= 0.0 } else { x >= 0.0 } & (y != 0.0);
-    let quarter = if north { 0 } else { 2 } + if odd { 1 } else { 0 };
-    let (along, beside) = if odd { (y.abs(), x.abs()) } else { (x.abs(), y.abs()) };
-    (quarter, quarter_turn(beside, along))
+pub(crate) fn azimuth<F: Real>(x: F, y: F) -> (F, F) {
+    let zero = x.splat(0.0);
+    let (west, south) = (x.less(zero), y.less(zero));
+    let (x, y) = (x.magnitude(), y.magnitude());
+    // Every second quarter begins at the y axis.
+    let (along, beside) = (y.or_else(west, x), x.or_else(west, y));
+    let (along, beside) = (beside.or_else(south, along), along.or_else(south, beside));
+    let quarter = x.splat(1.0).or_else(west, zero);
+    ((x.splat(3.0) - quarter).or_else(south, quarter), quarter_turn(beside, along))
 }
 
 /// atan(y/x)/(π/2) for x, y ≥ 0: exact at 0, ½ and 1; 0 at the origin.
 ///
 /// Range reduction to |r| ≤ tan(π/8) and the polynomial of Cephes' `atanf` (Moshier 1992).
 #[inline(always)]
-pub(crate) fn quarter_turn(y: f32, x: f32) -> f32 {
+pub(crate) fn quarter_turn<F: Real>(y: F, x: F) -> F {
     const TAN_PI_8: f32 = 0.414_213_56;
     let (small, large) = (x.min(y), x.max(y));
-    let middle = small > TAN_PI_8 * large;
-    let numerator = if middle { small - large } else { small };
-    let denominator = if middle { small + large } else { large };
-    let r = numerator / denominator.max(f32::MIN_POSITIVE);
+    let middle = (large * TAN_PI_8).less(small);
+    let numerator = (small - large).or_else(middle, small);
+    let denominator = (small + large).or_else(middle, large);
+    let r = numerator / denominator.max(x.splat(f32::MIN_POSITIVE));
     let square = r * r;
-    let mut p = 8.053_744_5e-2;
-    p = p * square - 1.387_768_6e-1;
+    // Not fused, so that a direction's pixel is the same in every instruction set.
+    let mut p = square * 8.053_744_5e-2 - 1.387_768_6e-1;
     p = p * square + 1.997_771_1e-1;
     p = p * square - 3.333_295e-1;
-    let turn = (p * square * r + r) * std::f32::consts::FRAC_2_PI + if middle { 0.5 } else { 0.0 };
-    if y > x { 1.0 - turn } else { turn }
+    let turn =
+        (p * square * r + r) * std::f32::consts::FRAC_2_PI + x.splat(0.5).or_else(middle, x.splat(0.0));
+    (x.splat(1.0) - turn).or_else(x.less(y), turn)
 }
 
 #[cfg(test)]
@@ -389,12 +438,19 @@ mod tests {
             let error = f64::from(quarter) + f64::from(t) - truth / std::f64::consts::FRAC_PI_2;
             assert!(error.abs() < 2e-7, "{phi}: {error}");
         }
-        for (x, y, expected) in
-            [(1.0, 0.0, 0), (0.0, 1.0, 1), (-1.0, 0.0, 2), (0.0, -1.0, 3), (1.0, -0.0, 0), (0.0, 0.0, 0)]
-        {
-            assert_eq!(azimuth(x, y), (expected, 0.0), "{x} {y}");
+        for (x, y, expected) in [
+            (1.0, 0.0, 0.0),
+            (0.3, 0.3, 0.5),
+            (0.0, 1.0, 1.0),
+            (-1.0, 0.0, 2.0),
+            (-1.0, -1.0, 2.5),
+            (0.0, -1.0, 3.0),
+            (1.0, -0.0, 0.0),
+            (0.0, 0.0, 0.0),
+        ] {
+            let (quarter, t) = azimuth(x, y);
+            assert_eq!(quarter + t, expected, "{x} {y}");
         }
-        assert_eq!(azimuth(0.3, 0.3), (0, 0.5));
     }
 
     #[test]

@@ -22,6 +22,9 @@ pub const SIGMOID_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
 const LN_2_HIGH: f32 = 0.693_359_4;
 const LN_2_LOW: f32 = -2.121_944_4e-4;
 
+/// Adding and subtracting 1.5·2²³ rounds to the nearest integer in every vector instruction set.
+const ROUND: f32 = 12_582_912.0;
+
 /// Largest relative error of [`angle`].
 pub const ANGLE_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
 
@@ -31,8 +34,6 @@ pub const ANGLE_MAX_RELATIVE_ERROR: f64 = 2.5e-7;
 #[inline(always)]
 #[must_use]
 pub fn exp<F: Real>(x: F) -> F {
-    // Adding and subtracting 1.5·2²³ rounds to the nearest integer in every vector instruction set.
-    const ROUND: f32 = 12_582_912.0;
     /// By rising powers from r².
     const COEFFICIENTS: [f32; 6] =
         [0.5, 1.666_666_5e-1, 4.166_579_6e-2, 8.333_452e-3, 1.398_199_9e-3, 1.987_569_1e-4];
@@ -42,6 +43,15 @@ pub fn exp<F: Real>(x: F) -> F {
     let r = n.fma(x.splat(-LN_2_LOW), n.fma(x.splat(-LN_2_HIGH), x));
     let tail = polynomial(r, COEFFICIENTS).fma(r * r, r);
     (tail + 1.0) * n.power_of_two()
+}
+
+/// The largest whole number that is not above x, for |x| < 2²². Whatever is beyond that or not a number stays
+/// so.
+#[inline(always)]
+#[must_use]
+pub fn floor<F: Real>(x: F) -> F {
+    let nearest = (x + ROUND) - ROUND;
+    nearest - x.splat(1.0).or_else(x.less(nearest), x.splat(0.0))
 }
 
 /// Natural logarithm of a positive normal number. Anything else gives a meaningless number.
@@ -166,6 +176,18 @@ mod tests {
                 assert!(error <= LN_MAX_ERROR * exp.ln().abs().max(1.0), "at {}", x[lane]);
             }
         }
+    }
+
+    #[test]
+    fn floor_is_exact_up_to_its_limit() {
+        let limit = 4_194_303.0;
+        let near = |whole: f32| [whole, whole.next_up(), whole.next_down(), whole + 0.5];
+        let all = sweep(-limit, limit, 100_000).map(f32::round).chain(sweep(-300.0, 300.0, 600));
+        for x in all.flat_map(near).filter(|x| x.abs() < limit) {
+            assert_eq!(floor(x), x.floor(), "at {x}");
+        }
+        assert!(floor(f32::NAN).is_nan());
+        assert_eq!(floor(f32::INFINITY), f32::INFINITY);
     }
 
     #[test]

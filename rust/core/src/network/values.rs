@@ -57,7 +57,7 @@ impl<const L: usize> Rows<L> {
 
     /// `ROWS` more rows of zeros, to be overwritten.
     #[inline(always)]
-    pub(super) fn push<const ROWS: usize>(&mut self) -> &mut [[f32; L]; ROWS] {
+    pub(crate) fn push<const ROWS: usize>(&mut self) -> &mut [[f32; L]; ROWS] {
         let rows: &mut [MaybeUninit<[f32; L]>; ROWS] =
             self.values[self.len..].first_chunk_mut().expect("no layer is wider than MAX_WIDTH");
         for row in rows.iter_mut() {

@@ -40,11 +40,15 @@ pub trait Lanes<const L: usize>: Copy {
     /// latency of the multiply-add.
     const ROWS: usize;
 
+    /// The instruction set, in every number of lanes.
+    type Isa: Isa;
     /// The floats.
     type Vector: Copy;
     /// A truth value for each.
     type Mask: Copy;
 
+    /// The same instruction set, for other numbers of lanes.
+    fn isa(self) -> Self::Isa;
     /// Runs a task as a function of its own, compiled once for the instruction set and the lanes, whatever
     /// kernels need it.
     fn run<T: Task<L>>(self, task: T);
@@ -57,6 +61,8 @@ pub trait Lanes<const L: usize>: Copy {
     fn store(self, x: Self::Vector, to: &mut [f32; L]);
     /// `L` vectors of three, one after another in memory, as components side by side.
     fn load_triples(self, xyz: &[[f32; 3]; L]) -> [Self::Vector; 3];
+    /// Four columns of `L` rows, from the column `first` on.
+    fn columns<const K: usize>(self, rows: &[[f32; K]; L], first: usize) -> [Self::Vector; 4];
     /// a + b.
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// a − b.

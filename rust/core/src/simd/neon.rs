@@ -68,6 +68,23 @@ impl Register for float32x4_t {
         [x, y, z]
     }
 
+    #[inline(always)]
+    unsafe fn columns(from: *const f32, stride: usize) -> [Self; 4] {
+        // SAFETY: the caller's promise of four floats in each row; every machine of the target has NEON.
+        unsafe {
+            let [a, b] = [vld1q_f32(from), vld1q_f32(from.add(stride))];
+            let [c, d] = [vld1q_f32(from.add(2 * stride)), vld1q_f32(from.add(3 * stride))];
+            // Of two rows, every second column side by side.
+            let [ab, cd] = [vtrnq_f32(a, b), vtrnq_f32(c, d)];
+            [
+                vcombine_f32(vget_low_f32(ab.0), vget_low_f32(cd.0)),
+                vcombine_f32(vget_low_f32(ab.1), vget_low_f32(cd.1)),
+                vcombine_f32(vget_high_f32(ab.0), vget_high_f32(cd.0)),
+                vcombine_f32(vget_high_f32(ab.1), vget_high_f32(cd.1)),
+            ]
+        }
+    }
+
     operations! {
         add(a, b) = vaddq_f32(a, b);
         sub(a, b) = vsubq_f32(a, b);

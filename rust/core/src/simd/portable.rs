@@ -71,6 +71,19 @@ impl Register for Quad {
         y
     }
 
+    #[inline(always)]
+    unsafe fn columns(from: *const f32, stride: usize) -> [Self; 4] {
+        let mut y = [Quad([0.0; 4]); 4];
+        for row in 0..4 {
+            // SAFETY: the caller's promise of four floats in each row.
+            let four = unsafe { *from.add(row * stride).cast::<[f32; 4]>() };
+            for c in 0..4 {
+                y[c].0[row] = four[c];
+            }
+        }
+        y
+    }
+
     lane_by_lane! {
         add(a, b) = a + b;
         sub(a, b) = a - b;

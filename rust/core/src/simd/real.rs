@@ -21,7 +21,13 @@ pub trait Real:
 {
     /// A truth value in every lane.
     type Mask: Copy;
+    /// The numbers of all lanes.
+    type Array: Copy + AsRef<[f32]> + AsMut<[f32]>;
 
+    /// The numbers one by one, for what cannot be written for all lanes at once.
+    fn array(self) -> Self::Array;
+    /// Numbers that were made one by one, in as many lanes as `self` has.
+    fn with_array(self, lanes: &Self::Array) -> Self;
     /// The number `x` in as many lanes as `self` has.
     fn splat(self, x: f32) -> Self;
     /// self · a + b.
@@ -70,6 +76,17 @@ pub trait Real:
 
 impl Real for f32 {
     type Mask = bool;
+    type Array = [f32; 1];
+
+    #[inline(always)]
+    fn array(self) -> [f32; 1] {
+        [self]
+    }
+
+    #[inline(always)]
+    fn with_array(self, lanes: &[f32; 1]) -> f32 {
+        lanes[0]
+    }
 
     #[inline(always)]
     fn splat(self, x: f32) -> f32 {
@@ -227,6 +244,17 @@ impl<I: Lanes<L>, const L: usize> Neg for Vector<I, L> {
 
 impl<I: Lanes<L>, const L: usize> Real for Vector<I, L> {
     type Mask = I::Mask;
+    type Array = [f32; L];
+
+    #[inline(always)]
+    fn array(self) -> [f32; L] {
+        self.to_array()
+    }
+
+    #[inline(always)]
+    fn with_array(self, lanes: &[f32; L]) -> Self {
+        Vector::load(self.isa, lanes)
+    }
 
     #[inline(always)]
     fn splat(self, x: f32) -> Self {

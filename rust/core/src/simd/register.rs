@@ -4,7 +4,8 @@
 ///
 /// # Safety
 /// The methods may only be called where the machine has the register's instruction set; `load` and `store`
-/// touch as many floats as the register has, `load_triples` three times as many.
+/// touch as many floats as the register has, `load_triples` three times as many, and `columns` four floats in
+/// each of as many rows.
 pub trait Register: Copy {
     type Mask: Copy;
     const LANES: usize;
@@ -14,6 +15,8 @@ pub trait Register: Copy {
     unsafe fn store(self, to: *mut f32);
     /// As many vectors of three as the register has lanes.
     unsafe fn load_triples(from: *const f32) -> [Self; 3];
+    /// Four floats of each of as many rows as the register has lanes, which begin `stride` floats apart.
+    unsafe fn columns(from: *const f32, stride: usize) -> [Self; 4];
     unsafe fn add(self, b: Self) -> Self;
     unsafe fn sub(self, b: Self) -> Self;
     unsafe fn mul(self, b: Self) -> Self;
@@ -37,8 +40,14 @@ macro_rules! lanes {
     ($isa:ty $([$features:literal])?: $lanes:literal in $count:literal x $register:ty, $rows:literal rows) => {
         impl $crate::simd::Lanes<$lanes> for $isa {
             const ROWS: usize = $rows;
+            type Isa = $isa;
             type Vector = [$register; $count];
             type Mask = [<$register as Register>::Mask; $count];
+
+            #[inline(always)]
+            fn isa(self) -> $isa {
+                self
+            }
 
             fn run<T: $crate::simd::Task<$lanes>>(self, task: T) {
                 $(#[target_feature(enable = $features)])?
@@ -79,6 +88,22 @@ macro_rules! lanes {
                     for i in 0..$count {
                         let from = xyz.as_ptr().add(i * <$register as Register>::LANES).cast();
                         [y[0][i], y[1][i], y[2][i]] = <$register>::load_triples(from);
+                    }
+                    y
+                }
+            }
+
+            #[inline(always)]
+            fn columns<const K: usize>(self, rows: &[[f32; K]; $lanes], first: usize) -> [Self::Vector; 4] {
+                assert!(first + 4 <= K, "rows of {K} numbers have no four columns from {first} on");
+                // SAFETY: `self` is the proof of the instruction set; the registers have as many lanes as there
+                // are rows, and each row has the columns.
+                unsafe {
+                    let mut y = [[<$register>::splat(0.0); $count]; 4];
+                    for i in 0..$count {
+                        let rows = rows.as_ptr().add(i * <$register as Register>::LANES);
+                        [y[0][i], y[1][i], y[2][i], y[3][i]] =
+                            <$register>::columns(rows.cast::<f32>().add(first), K);
                     }
                     y
                 }

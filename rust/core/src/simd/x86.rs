@@ -139,6 +139,26 @@ macro_rules! alike {
     };
 }
 
+/// [`Register::columns`] of registers of one, two and four quarters, whose rows are four apart.
+macro_rules! columns {
+    ($low:ident $high:ident $shuffle:ident, $from:ident, $stride:ident: $rows:expr) => {
+        #[inline(always)]
+        unsafe fn columns($from: *const f32, $stride: usize) -> [Self; 4] {
+            unsafe {
+                let [a, b, c, d] = $rows;
+                // a₀b₀a₁b₁ and so on.
+                let [ab, cd] = [[$low(a, b), $high(a, b)], [$low(c, d), $high(c, d)]];
+                [
+                    $shuffle::<0b01_00_01_00>(ab[0], cd[0]),
+                    $shuffle::<0b11_10_11_10>(ab[0], cd[0]),
+                    $shuffle::<0b01_00_01_00>(ab[1], cd[1]),
+                    $shuffle::<0b11_10_11_10>(ab[1], cd[1]),
+                ]
+            }
+        }
+    };
+}
+
 #[allow(clippy::undocumented_unsafe_blocks)]
 impl Register for __m128 {
     type Mask = __m128;
@@ -148,6 +168,13 @@ impl Register for __m128 {
         _mm_sqrt_ps _mm_min_ps _mm_max_ps _mm_castps_si128 _mm_castsi128_ps _mm_max_epi32 _mm_min_epi32
         _mm_add_epi32 _mm_sub_epi32 _mm_setzero_si128 _mm_set1_epi32 _mm_slli_epi32 _mm_srai_epi32
         _mm_cvtps_epi32 _mm_cvtepi32_ps);
+
+    columns!(_mm_unpacklo_ps _mm_unpackhi_ps _mm_shuffle_ps, from, stride: [
+        _mm_loadu_ps(from),
+        _mm_loadu_ps(from.add(stride)),
+        _mm_loadu_ps(from.add(2 * stride)),
+        _mm_loadu_ps(from.add(3 * stride)),
+    ]);
 
     #[inline(always)]
     unsafe fn load_triples(from: *const f32) -> [Self; 3] {
@@ -196,6 +223,15 @@ impl Register for __m256 {
         _mm256_setzero_si256 _mm256_set1_epi32 _mm256_slli_epi32 _mm256_srai_epi32 _mm256_cvtps_epi32
         _mm256_cvtepi32_ps);
 
+    columns!(_mm256_unpacklo_ps _mm256_unpackhi_ps _mm256_shuffle_ps, from, stride: {
+        let mut rows = [_mm256_setzero_ps(); 4];
+        for row in 0..4 {
+            let from = from.add(row * stride);
+            rows[row] = _mm256_loadu2_m128(from.add(4 * stride), from);
+        }
+        rows
+    });
+
     #[inline(always)]
     unsafe fn load_triples(from: *const f32) -> [Self; 3] {
         unsafe {
@@ -241,6 +277,18 @@ impl Register for __m512 {
         _mm512_castsi512_ps _mm512_max_epi32 _mm512_min_epi32 _mm512_add_epi32 _mm512_sub_epi32
         _mm512_setzero_si512 _mm512_set1_epi32 _mm512_slli_epi32 _mm512_srai_epi32 _mm512_cvtps_epi32
         _mm512_cvtepi32_ps);
+
+    columns!(_mm512_unpacklo_ps _mm512_unpackhi_ps _mm512_shuffle_ps, from, stride: {
+        let mut rows = [_mm512_setzero_ps(); 4];
+        for row in 0..4 {
+            let from = from.add(row * stride);
+            let quarters = _mm512_castps128_ps512(_mm_loadu_ps(from));
+            let quarters = _mm512_insertf32x4::<1>(quarters, _mm_loadu_ps(from.add(4 * stride)));
+            let quarters = _mm512_insertf32x4::<2>(quarters, _mm_loadu_ps(from.add(8 * stride)));
+            rows[row] = _mm512_insertf32x4::<3>(quarters, _mm_loadu_ps(from.add(12 * stride)));
+        }
+        rows
+    });
 
     #[inline(always)]
     unsafe fn load_triples(from: *const f32) -> [Self; 3] {

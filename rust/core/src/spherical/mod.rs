@@ -12,6 +12,7 @@
 //! The network yields y with f = 0.003 (eʸ − 1), so that it works on a scale on which dark values and
 //! lobes are both of the order of 1. y is limited to a little more than the fit saw.
 
+mod look_up;
 pub mod pixelation;
 pub mod store;
 pub mod tables;
@@ -20,16 +21,16 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::brdf::{Brdf, check_lengths, is_lit, mask_unlit};
-use crate::dispatch;
+use crate::kernel::Kernel;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
 use crate::network::{Network, One, Rows};
 use crate::sampler::Sampler;
-use crate::simd::{LANES, Lane, Lane3, Real, Vector};
+use crate::simd::{Isa, Lane, Lanes, Real, Vector};
+use look_up::MAX_INPUTS;
 use store::Store;
-use tables::{Grids, Layout, MAX_TABLES, Taps};
+use tables::{Grids, Layout};
 
 /// Where f turns from linear to exponential in the network's output.
 pub const OUTPUT_SCALE: f32 = 0.003;
@@ -173,45 +174,7 @@ impl Spherical {
     pub fn bound(&self) -> f32 {
         self.bound
     }
-
-    /// ψ of pairs of directions, `x[feature][lane]`.
-    #[inline(always)]
-    fn encode<const N: usize>(&self, light: &[[f32; N]; 3], view: &[[f32; N]; 3], x: &mut [[f32; N]]) {
-        let mut taps = [Taps::EMPTY; MAX_TABLES];
-        self.layout.taps(light, view, &mut taps);
-        match self.layout.form().features {
-            4 => self.gather::<N, 4>(&taps, x),
-            8 => self.gather::<N, 8>(&taps, x),
-            _ => self.gather::<N, 16>(&taps, x),
-        }
-    }
-
-    #[inline(always)]
-    fn gather<const N: usize, const K: usize>(&self, taps: &[Taps<N>; MAX_TABLES], x: &mut [[f32; N]]) {
-        let (values, _) = self.values.as_chunks::<K>();
-        let tables = self.layout.form().grids.tables();
-        for (table, x) in x[..tables * K].chunks_exact_mut(K).enumerate() {
-            let taps = &taps[table];
-            let count = self.layout.tap_count(table);
-            for lane in 0..N {
-                let mut sum = [0.0; K];
-                for tap in 0..count {
-                    let row = &values[self.entries[taps.points[tap][lane] as usize] as usize];
-                    let weight = taps.weights[tap][lane];
-                    for j in 0..K {
-                        sum[j] += weight * row[j];
-                    }
-                }
-                for j in 0..K {
-                    x[j][lane] = sum[j];
-                }
-            }
-        }
-    }
 }
-
-/// Most features that a network sees.
-const MAX_INPUTS: usize = MAX_TABLES * 16;
 
 impl Model for Spherical {
     const KIND: &'static str = "spherical";
@@ -234,61 +197,28 @@ impl Model for Spherical {
     }
 }
 
-impl Brdf for Spherical {
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        let mut f = Vec3::ZERO;
-        if is_lit(light, view) {
-            eval_one(self, light, view, &mut f);
-        }
-        f
+impl Kernel for Spherical {
+    #[inline(always)]
+    fn eval_lanes<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let (mut x, mut y) = (Rows::default(), Rows::default());
+        self.encode(isa, light, view, &mut x);
+        self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
+        let y = Vector::load3(isa, &[y[0], y[1], y[2]]);
+        [from_output(y[0], self.bound), from_output(y[1], self.bound), from_output(y[2], self.bound)]
     }
 
-    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        eval_tile(self, light, view, out);
-        mask_unlit(light, view, out);
-    }
-
-    fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
-        check_lengths(&light, &view, &out);
-        let n = out[0].len();
-        for start in (0..n).step_by(LANES) {
-            let end = n.min(start + LANES);
-            // Lanes beyond the end stay 0: below the horizon.
-            let mut sides = [[[0.0; LANES]; 3]; 2];
-            for c in 0..3 {
-                sides[0][c][..end - start].copy_from_slice(&light[c][start..end]);
-                sides[1][c][..end - start].copy_from_slice(&view[c][start..end]);
-            }
-            let mut f = [[0.0; LANES]; 3];
-            self.eval_tile(&sides[0], &sides[1], &mut f);
-            for c in 0..3 {
-                out[c][start..end].copy_from_slice(&f[c][..end - start]);
-            }
-        }
-    }
-}
-
-dispatch! {
-    fn eval_one(isa, material: &Spherical, light: Vec3, view: Vec3, f: &mut Vec3) {
-        let mut x = [[0.0; 1]; MAX_INPUTS];
-        material.encode(&light.to_array().map(|x| [x]), &view.to_array().map(|x| [x]), &mut x);
-        let mut y = One::default();
-        material.network.forward_one(isa, &material.first_bias, x.as_flattened(), &mut y);
-        let y = Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0]);
-        let [red, green, blue, _] = from_output(y, material.bound).to_array();
-        *f = Vec3::new(red, green, blue);
-    }
-}
-
-dispatch! {
-    fn eval_tile(isa, material: &Spherical, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        let mut x = [[0.0; LANES]; MAX_INPUTS];
-        material.encode(light, view, &mut x);
-        let mut y = Rows::default();
-        material.network.forward_tile(isa, material.first_bias.as_flattened(), &x, &mut y);
-        for (f, y) in out.iter_mut().zip(&*y) {
-            from_output(Vector::<I, LANES>::load(isa, y), material.bound).store(f);
-        }
+    #[inline(always)]
+    fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
+        let (mut x, mut y) = ([0.0; MAX_INPUTS], One::default());
+        self.encode_one(isa, light, view, &mut x);
+        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        let f = from_output(Vector::<I, 4>::load(isa, y.four_from::<0>()), self.bound).to_array();
+        Vec3::new(f[0], f[1], f[2])
     }
 }
 

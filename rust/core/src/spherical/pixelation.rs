@@ -3,7 +3,9 @@
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::healpix::{Healpix, Pixel, azimuth, quarter_turn};
+use crate::healpix::{Healpix, Pixels, azimuth, limit, quarter_turn};
+use crate::math::floor;
+use crate::simd::Real;
 
 /// A choice of points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,43 +67,14 @@ impl Hemisphere {
         }
     }
 
-    /// The pixel of a direction; of a Fibonacci lattice, the four nearest points.
-    #[must_use]
-    pub fn pixel(&self, direction: [f32; 3]) -> Pixel {
-        match self {
-            Hemisphere::Healpix(grid) => grid.pixel(direction),
-            Hemisphere::LatLong(grid) => grid.pixel(direction),
-            Hemisphere::Fibonacci(grid) => grid.nearest(direction.into()),
-        }
-    }
-
-    /// [`Hemisphere::pixel`] for several directions, `[component][lane]`.
+    /// The pixels of directions; of a Fibonacci lattice, the four nearest points.
     #[inline(always)]
-    pub(crate) fn pixels<const N: usize>(&self, d: &[[f32; N]; 3], to: &mut Pixels<N>) {
-        // One loop for each choice, so that the choice is not made in every lane.
+    pub(crate) fn pixels<F: Real>(&self, direction: [F; 3]) -> Pixels<F> {
         match self {
-            Hemisphere::Healpix(grid) => fill(d, to, |d| grid.pixel(d)),
-            Hemisphere::LatLong(grid) => fill(d, to, |d| grid.pixel(d)),
-            Hemisphere::Fibonacci(grid) => fill(d, to, |d| grid.nearest(d.into())),
+            Hemisphere::Healpix(grid) => grid.pixels(direction),
+            Hemisphere::LatLong(grid) => grid.pixels(direction),
+            Hemisphere::Fibonacci(grid) => grid.nearest(direction),
         }
-    }
-}
-
-/// Pixels side by side.
-pub(crate) struct Pixels<const N: usize> {
-    pub corners: [[u32; N]; 4],
-    pub at: [[f32; N]; 2],
-}
-
-#[inline(always)]
-fn fill<const N: usize>(d: &[[f32; N]; 3], to: &mut Pixels<N>, pixel: impl Fn([f32; 3]) -> Pixel) {
-    for lane in 0..N {
-        let pixel = pixel([d[0][lane], d[1][lane], d[2][lane]]);
-        for c in 0..4 {
-            to.corners[c][lane] = pixel.corners[c];
-        }
-        to.at[0][lane] = pixel.at[0];
-        to.at[1][lane] = pixel.at[1];
     }
 }
 
@@ -123,17 +96,19 @@ impl LatLong {
     }
 
     #[inline(always)]
-    fn pixel(self, [x, y, z]: [f32; 3]) -> Pixel {
+    fn pixels<F: Real>(self, [x, y, z]: [F; 3]) -> Pixels<F> {
+        let (rows, columns) = (self.rows as f32, self.columns as f32);
+        let [zero, one] = [x.splat(0.0), x.splat(1.0)];
         let (quarter, t) = azimuth(x, y);
-        let down = quarter_turn((x * x + y * y).sqrt(), z.max(0.0)) * (self.rows - 1) as f32;
-        let right = (quarter as f32 + t) * (0.25 * self.columns as f32);
-        let row = (down as i32).max(0).min(self.rows - 2);
-        let column = (right as i32).max(0).min(self.columns - 1);
-        let next = if column + 1 < self.columns { column + 1 } else { 0 };
-        let at = [down - row as f32, right - column as f32].map(|x| x.clamp(0.0, 1.0));
-        let point = |row: i32, column: i32| (row * self.columns + column) as u32;
-        let corners = [point(row, column), point(row + 1, column), point(row, next), point(row + 1, next)];
-        Pixel { corners, at }
+        let down = quarter_turn((x * x + y * y).sqrt(), z.max(zero)) * (rows - 1.0);
+        let right = (quarter + t) * (0.25 * columns);
+        let row = limit(floor(down), x.splat(rows - 2.0));
+        let column = limit(floor(right), x.splat(columns - 1.0));
+        let next = (column + 1.0).or_else(column.less(x.splat(columns - 1.0)), zero);
+        let at = [limit(down - row, one), limit(right - column, one)];
+        let first = row * columns;
+        let second = first + columns;
+        Pixels { corners: [first + column, second + column, first + next, second + next], at }
     }
 
     fn direction(self, point: usize) -> DVec3 {
@@ -162,8 +137,24 @@ impl Fibonacci {
         Fibonacci { directions: (0..points).map(direction).collect() }
     }
 
-    /// The four nearest points, and no place among them.
-    fn nearest(&self, direction: Vec3) -> Pixel {
+    /// The four nearest points, and no place among them. One lane after the other: a search has no fixed length.
+    #[inline(always)]
+    fn nearest<F: Real>(&self, [x, y, z]: [F; 3]) -> Pixels<F> {
+        let (xs, ys, zs) = (x.array(), y.array(), z.array());
+        let mut corners = [xs; 4];
+        for lane in 0..xs.as_ref().len() {
+            let direction = Vec3::new(xs.as_ref()[lane], ys.as_ref()[lane], zs.as_ref()[lane]);
+            let nearest = self.nearest_to(direction);
+            for (corner, point) in corners.iter_mut().zip(nearest) {
+                corner.as_mut()[lane] = point as f32;
+            }
+        }
+        let [a, b, c, d] = &corners;
+        let corners = [x.with_array(a), x.with_array(b), x.with_array(c), x.with_array(d)];
+        Pixels { corners, at: [x.splat(0.5); 2] }
+    }
+
+    fn nearest_to(&self, direction: Vec3) -> [u32; 4] {
         // The fourth is never further than this times the mean distance, the side of a point's share of
         // the hemisphere.
         const REACH: f32 = 2.0;
@@ -183,49 +174,45 @@ impl Fibonacci {
                 }
             }
         }
-        Pixel { corners: best.map(|(_, point)| point), at: [0.5; 2] }
+        best.map(|(_, point)| point)
     }
 }
 
-/// Weights of a pixel's corners by inverse great-circle distance (paper, §3.2.2), `[corner][lane]`.
+/// Weights of a pixel's corners by inverse great-circle distance (paper, §3.2.2).
 #[inline(always)]
-pub(crate) fn inverse_distances<const N: usize>(
-    directions: &[[f32; 3]],
-    d: &[[f32; N]; 3],
-    corners: &[[u32; N]; 4],
-    weights: &mut [[f32; N]; 4],
-) {
-    let mut distance = [[0.0; N]; 4];
-    for (corners, distance) in corners.iter().zip(&mut distance) {
-        let mut p = [[0.0; N]; 3];
-        for lane in 0..N {
-            let position = directions[corners[lane] as usize];
-            for c in 0..3 {
-                p[c][lane] = position[c];
-            }
-        }
-        for lane in 0..N {
-            distance[lane] =
-                angle([d[0][lane], d[1][lane], d[2][lane]], [p[0][lane], p[1][lane], p[2][lane]]);
+pub(crate) fn inverse_distances<F: Real>(directions: &[[f32; 3]], d: [F; 3], corners: [F; 4]) -> [F; 4] {
+    // The product of the other three is 1/d times the product of all; on a corner, or on two that
+    // meet in a pole, it still tells them apart.
+    const LEAST: f32 = 1e-7;
+    let mut distance = [d[0].splat(LEAST); 4];
+    for i in 0..4 {
+        distance[i] = angle(d, positions(directions, corners[i])).max(distance[i]);
+    }
+    let [a, b, c, e] = distance;
+    let (ab, ce) = (a * b, c * e);
+    let products = [b * ce, a * ce, ab * e, ab * c];
+    let scale = (products[0] + products[1] + products[2] + products[3]).reciprocal();
+    [products[0] * scale, products[1] * scale, products[2] * scale, products[3] * scale]
+}
+
+/// Where points are.
+#[inline(always)]
+fn positions<F: Real>(directions: &[[f32; 3]], points: F) -> [F; 3] {
+    let numbers = points.array();
+    let mut p = [numbers; 3];
+    for (lane, &point) in numbers.as_ref().iter().enumerate() {
+        let position = directions[point as usize];
+        for c in 0..3 {
+            p[c].as_mut()[lane] = position[c];
         }
     }
-    for lane in 0..N {
-        // The product of the other three is 1/d times the product of all; on a corner, or on two that
-        // meet in a pole, it still tells them apart.
-        const LEAST: f32 = 1e-7;
-        let [a, b, c, e] = [0, 1, 2, 3].map(|i| distance[i][lane].max(LEAST));
-        let products = [b * c * e, a * c * e, a * b * e, a * b * c];
-        let scale = 1.0 / (products[0] + products[1] + products[2] + products[3]);
-        for i in 0..4 {
-            weights[i][lane] = products[i] * scale;
-        }
-    }
+    [points.with_array(&p[0]), points.with_array(&p[1]), points.with_array(&p[2])]
 }
 
 /// Angle between unit vectors less than a right angle apart, as a part of that.
 #[inline(always)]
-fn angle(a: [f32; 3], b: [f32; 3]) -> f32 {
+fn angle<F: Real>(a: [F; 3], b: [F; 3]) -> F {
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
     let sine = (cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2]).sqrt();
-    quarter_turn(sine, (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]).max(0.0))
+    quarter_turn(sine, (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]).max(sine.splat(0.0)))
 }

@@ -5,8 +5,10 @@ use std::collections::HashMap;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::pixelation::{Hemisphere, Pixelation, Pixels, inverse_distances};
-use crate::healpix::Healpix;
+use super::pixelation::{Hemisphere, Pixelation, inverse_distances};
+use crate::healpix::{Healpix, Pixels, limit};
+use crate::math::floor;
+use crate::simd::{Lanes, Real, Task, Vector};
 
 /// What the tables are laid over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -136,6 +138,18 @@ pub struct Taps<const N: usize> {
 impl<const N: usize> Taps<N> {
     /// Nothing yet.
     pub const EMPTY: Taps<N> = Taps { points: [[0; N]; 4], weights: [[0.0; N]; 4] };
+
+    #[inline(always)]
+    fn set<F: Real<Array = [f32; N]>, const TAPS: usize>(&mut self, taps: [(F, F); TAPS]) {
+        for (tap, (point, weight)) in taps.into_iter().enumerate() {
+            // From 2²³ on, the lowest bits of a float are those of the whole number.
+            let bits = (point + 8_388_608.0).array();
+            for lane in 0..N {
+                self.points[tap][lane] = bits[lane].to_bits() & 0x7f_ffff;
+            }
+            self.weights[tap] = weight.array();
+        }
+    }
 }
 
 /// Tables of one form: their points, and the row of features that each point has.
@@ -225,101 +239,96 @@ impl Layout {
         if table < self.form.grids.axes() { 2 } else { 4 }
     }
 
-    /// Where pairs of directions, `[component][lane]`, fall into each table. Whatever the numbers are,
-    /// the points exist.
+    /// Where pairs of directions fall into each table. Whatever the numbers are, the points exist.
     #[inline(always)]
-    pub fn taps<const N: usize>(
+    pub fn taps<I: Lanes<L>, const L: usize>(
         &self,
-        light: &[[f32; N]; 3],
-        view: &[[f32; N]; 3],
-        taps: &mut [Taps<N>; MAX_TABLES],
+        isa: I,
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+        taps: &mut [Taps<L>; MAX_TABLES],
     ) {
         match self.form.grids {
-            Grids::Lv => {
-                self.hemisphere_taps(0, light, taps);
-                self.hemisphere_taps(1, view, taps);
-            }
-            Grids::Hd => {
-                let (mut half, mut difference) = ([[0.0; N]; 3], [[0.0; N]; 3]);
-                for lane in 0..N {
-                    let (h, d) = half_difference(at(light, lane), at(view, lane));
-                    for c in 0..3 {
-                        half[c][lane] = h[c];
-                        difference[c][lane] = d[c];
-                    }
-                }
-                self.hemisphere_taps(0, &half, taps);
-                self.hemisphere_taps(1, &difference, taps);
-            }
+            Grids::Lv => self.two_hemispheres(isa, [light, view], taps),
+            Grids::Hd => self.two_hemispheres(isa, half_difference(light, view), taps),
             Grids::Iso => {
-                let (mut axes, mut difference) = ([[0.0; N]; 3], [[0.0; N]; 3]);
-                for lane in 0..N {
-                    let (x, d) = isotropic(at(light, lane), at(view, lane));
-                    for c in 0..3 {
-                        axes[c][lane] = x[c];
-                        difference[c][lane] = d[c];
-                    }
-                }
-                for (table, x) in axes.iter().enumerate() {
-                    self.axis_taps(table, x, &mut taps[table]);
-                }
-                self.hemisphere_taps(3, &difference, taps);
+                let (axes, difference) = isotropic(light, view);
+                let [half, light, view, on_hemisphere] = taps;
+                half.set(self.list_taps(0, axes[0]));
+                light.set(self.list_taps(1, axes[1]));
+                view.set(self.list_taps(2, axes[2]));
+                isa.run(HemisphereTaps {
+                    layout: self,
+                    table: 3,
+                    d: arrays(difference),
+                    taps: on_hemisphere,
+                });
             }
         }
     }
 
     #[inline(always)]
-    fn axis_taps<const N: usize>(&self, table: usize, x: &[f32; N], taps: &mut Taps<N>) {
-        let nodes = i32::from(self.form.nodes);
-        let first = self.first_point(table) as u32;
-        for lane in 0..N {
-            let place = x[lane] * (nodes - 1) as f32;
-            let node = (place as i32).max(0).min(nodes - 2);
-            let after = (place - node as f32).clamp(0.0, 1.0);
-            taps.points[0][lane] = first + node as u32;
-            taps.points[1][lane] = first + node as u32 + 1;
-            taps.weights[0][lane] = 1.0 - after;
-            taps.weights[1][lane] = after;
-        }
-    }
-
-    #[inline(always)]
-    fn hemisphere_taps<const N: usize>(
+    fn two_hemispheres<I: Lanes<L>, const L: usize>(
         &self,
-        table: usize,
-        d: &[[f32; N]; 3],
-        taps: &mut [Taps<N>; MAX_TABLES],
+        isa: I,
+        directions: [[Vector<I, L>; 3]; 2],
+        taps: &mut [Taps<L>; MAX_TABLES],
     ) {
-        let mut pixels = Pixels { corners: [[0; N]; 4], at: [[0.0; N]; 2] };
-        self.hemisphere.pixels(d, &mut pixels);
-        let taps = &mut taps[table];
-        match self.form.interpolation {
+        for table in 0..2 {
+            let d = arrays(directions[table]);
+            isa.run(HemisphereTaps { layout: self, table, d, taps: &mut taps[table] });
+        }
+    }
+
+    /// Two nodes of a list, and their weights.
+    #[inline(always)]
+    fn list_taps<F: Real>(&self, table: usize, x: F) -> [(F, F); 2] {
+        let nodes = f32::from(self.form.nodes);
+        let one = x.splat(1.0);
+        let place = x * (nodes - 1.0);
+        let node = limit(floor(place), x.splat(nodes - 2.0));
+        let after = limit(place - node, one);
+        let first = node + self.first_point(table) as f32;
+        [(first, one - after), (first + 1.0, after)]
+    }
+
+    /// Four points of a hemisphere, and their weights.
+    #[inline(always)]
+    fn hemisphere_taps<F: Real>(&self, table: usize, d: [F; 3]) -> [(F, F); 4] {
+        let Pixels { corners: [a, b, c, e], at: [p, m] } = self.hemisphere.pixels(d);
+        let weights = match self.form.interpolation {
             Interpolation::Bilinear => {
-                for lane in 0..N {
-                    let [p, m] = [pixels.at[0][lane], pixels.at[1][lane]];
-                    taps.weights[0][lane] = (1.0 - p) * (1.0 - m);
-                    taps.weights[1][lane] = p * (1.0 - m);
-                    taps.weights[2][lane] = (1.0 - p) * m;
-                    taps.weights[3][lane] = p * m;
-                }
+                let [before_p, before_m] = [p.splat(1.0) - p, p.splat(1.0) - m];
+                [before_p * before_m, p * before_m, before_p * m, p * m]
             }
-            Interpolation::InverseDistance => {
-                inverse_distances(&self.directions, d, &pixels.corners, &mut taps.weights);
-            }
-            Interpolation::Constant => taps.weights = [[0.25; N]; 4],
-        }
-        let first = self.first_point(table) as u32;
-        for (points, corners) in taps.points.iter_mut().zip(&pixels.corners) {
-            for lane in 0..N {
-                points[lane] = first + corners[lane];
-            }
-        }
+            Interpolation::InverseDistance => inverse_distances(&self.directions, d, [a, b, c, e]),
+            Interpolation::Constant => [p.splat(0.25); 4],
+        };
+        let first = self.first_point(table) as f32;
+        [(a + first, weights[0]), (b + first, weights[1]), (c + first, weights[2]), (e + first, weights[3])]
+    }
+}
+
+/// Directions' taps of one hemisphere: the largest part of a look-up, and a function of its own, so that it
+/// is not compiled for every table and model that it stands in.
+struct HemisphereTaps<'a, const L: usize> {
+    layout: &'a Layout,
+    table: usize,
+    d: [[f32; L]; 3],
+    taps: &'a mut Taps<L>,
+}
+
+impl<const L: usize> Task<L> for HemisphereTaps<'_, L> {
+    #[inline(always)]
+    fn run<I: Lanes<L>>(self, isa: I) {
+        let HemisphereTaps { layout, table, d, taps } = self;
+        taps.set(layout.hemisphere_taps(table, Vector::load3(isa, &d)));
     }
 }
 
 #[inline(always)]
-fn at<const N: usize>(v: &[[f32; N]; 3], lane: usize) -> [f32; 3] {
-    [v[0][lane], v[1][lane], v[2][lane]]
+fn arrays<I: Lanes<L>, const L: usize>(d: [Vector<I, L>; 3]) -> [[f32; L]; 3] {
+    [d[0].to_array(), d[1].to_array(), d[2].to_array()]
 }
 
 /// Below this a vector's azimuth is rounding noise.
@@ -327,42 +336,69 @@ const NOISE: f32 = 1e-7;
 
 /// Half vector, drawn towards the pole, and the light in the frame about it, of [`Grids::Hd`].
 #[inline(always)]
-fn half_difference(light: [f32; 3], view: [f32; 3]) -> ([f32; 3], [f32; 3]) {
+fn half_difference<F: Real>(light: [F; 3], view: [F; 3]) -> [[F; 3]; 2] {
+    let [zero, least] = [light[0].splat(0.0), light[0].splat(f32::MIN_POSITIVE)];
     let sum = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
     let across = sum[0] * sum[0] + sum[1] * sum[1];
-    let length = (across + sum[2] * sum[2]).sqrt().max(f32::MIN_POSITIVE);
-    let h = sum.map(|x| x / length);
+    let length = (across + sum[2] * sum[2]).sqrt().max(least);
+    let inverse = length.reciprocal();
+    let h = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse];
     // q = (1 − cosθ_h)^½ ∝ θ_h becomes 1 − z: a step of it is one of θ_h² of the half vector's grid.
-    let q = (across / (length * (length + sum[2]).max(f32::MIN_POSITIVE))).sqrt();
-    let draw = (q * (2.0 - q)).max(0.0).sqrt() / across.sqrt().max(NOISE);
-    let drawn = [sum[0] * draw, sum[1] * draw, 1.0 - q];
+    let q = (across / (length * (length + sum[2]).max(least))).sqrt();
+    let draw = (q * (q.splat(2.0) - q)).max(zero).sqrt() / across.sqrt().max(zero.splat(NOISE));
+    let drawn = [sum[0] * draw, sum[1] * draw, q.splat(1.0) - q];
     // The shortest rotation of h to n, applied to the light.
     let along = h[0] * light[0] + h[1] * light[1] + h[2] * light[2];
-    let turn = (along + light[2]) / (1.0 + h[2]);
-    (drawn, [light[0] - turn * h[0], light[1] - turn * h[1], along])
+    let turn = (along + light[2]) / (h[2] + 1.0);
+    [drawn, [light[0] - turn * h[0], light[1] - turn * h[1], along]]
 }
 
 /// (1 − cosθ_h)^¼ ∝ √θ_h and √2 sin(θ/2) of light and view, each from 0 at the normal to 1 at the
 /// horizon, and the light in Rusinkiewicz's frame about the half vector, of [`Grids::Iso`]; folded to
 /// y ≥ 0.
 #[inline(always)]
-fn isotropic(light: [f32; 3], view: [f32; 3]) -> ([f32; 3], [f32; 3]) {
+fn isotropic<F: Real>(light: [F; 3], view: [F; 3]) -> ([F; 3], [F; 3]) {
+    let [zero, one, least] = [light[0].splat(0.0), light[0].splat(1.0), light[0].splat(f32::MIN_POSITIVE)];
     let h = [light[0] + view[0], light[1] + view[1], light[2] + view[2]];
     let d = [light[0] - view[0], light[1] - view[1], light[2] - view[2]];
     let across = h[0] * h[0] + h[1] * h[1];
-    let length = (across + h[2] * h[2]).sqrt().max(f32::MIN_POSITIVE);
-    let one_minus_cos = across / (length * (length + h[2]).max(f32::MIN_POSITIVE));
-    let from_normal = |w: [f32; 3]| ((w[0] * w[0] + w[1] * w[1]) / (1.0 + w[2].abs())).sqrt().min(1.0);
-    let axes = [one_minus_cos.sqrt().sqrt(), from_normal(light), from_normal(view)];
+    let length = (across + h[2] * h[2]).sqrt().max(least);
+    let one_minus_cos = across / (length * (length + h[2]).max(least));
+    let axes = [one_minus_cos.sqrt().sqrt(), from_normal(light).min(one), from_normal(view).min(one)];
     // d/2 has length sinθ_d and stands at right angles to h: −d_z/sinθ_h of d lies in the plane of n
     // and h, and d·(n × h)/|n × h| beside it. At h = n every azimuth is as good: the plane's.
     let width = across.sqrt();
-    let is_centred = width <= NOISE;
-    let inverse = 1.0 / width.max(NOISE);
+    let noise = zero.splat(NOISE);
+    let has_azimuth = noise.less(width);
+    let inverse = width.max(noise).reciprocal();
     let flat = (d[0] * d[0] + d[1] * d[1]).sqrt();
-    let along = if is_centred { flat } else { -d[2] * length * inverse };
-    let beside = if is_centred { 0.0 } else { (d[1] * h[0] - d[0] * h[1]) * inverse };
-    (axes, [0.5 * along, 0.5 * beside.abs(), (0.5 * length).min(1.0)])
+    let along = (-d[2] * length * inverse).or_else(has_azimuth, flat);
+    let beside = ((d[1] * h[0] - d[0] * h[1]) * inverse).or_else(has_azimuth, zero);
+    (axes, [along * 0.5, beside.magnitude() * 0.5, (length * 0.5).min(one)])
+}
+
+/// √2 sin(θ/2) of a direction.
+#[inline(always)]
+fn from_normal<F: Real>(w: [F; 3]) -> F {
+    ((w[0] * w[0] + w[1] * w[1]) / (w[2].magnitude() + 1.0)).sqrt()
+}
+
+/// [`Layout::taps`] of one pair, one number at a time. What tests compare lanes against.
+#[cfg(test)]
+pub(super) fn scalar_taps(layout: &Layout, light: [f32; 3], view: [f32; 3]) -> Vec<Vec<(f32, f32)>> {
+    let hemispheres = |directions: [[f32; 3]; 2]| {
+        let taps = |table: usize| layout.hemisphere_taps(table, directions[table]).to_vec();
+        vec![taps(0), taps(1)]
+    };
+    match layout.form.grids {
+        Grids::Lv => hemispheres([light, view]),
+        Grids::Hd => hemispheres(half_difference(light, view)),
+        Grids::Iso => {
+            let (axes, difference) = isotropic(light, view);
+            let list = |table: usize| layout.list_taps(table, axes[table]).to_vec();
+            vec![list(0), list(1), list(2), layout.hemisphere_taps(3, difference).to_vec()]
+        }
+    }
 }
 
 /// Where a pair falls in float64, by the definitions. What tests compare against.
@@ -399,7 +435,8 @@ pub(super) mod reference {
         });
         let first = layout.form.grids.axes();
         let hemispheres = directions.into_iter().enumerate().map(|(i, d)| {
-            let corners = layout.hemisphere.pixel(d.as_vec3().to_array()).corners;
+            let corners =
+                layout.hemisphere.pixels(d.as_vec3().to_array()).corners.map(|corner| corner as u32);
             let first = layout.first_point(first + i);
             corners.map(|c| first + c as usize).into_iter().zip(weights(layout, d, corners)).collect()
         });
@@ -417,14 +454,22 @@ pub(super) mod reference {
             Interpolation::Bilinear => {
                 let theta = d.truncate().length().atan2(d.z);
                 let t = (d.y.atan2(d.x).rem_euclid(TAU) / FRAC_PI_2) % 4.0;
+                // An axis belongs to the quarter that its signs say, as in float32.
+                let quarter = match (d.x < 0.0, d.y < 0.0) {
+                    (false, false) => 0.0,
+                    (true, false) => 1.0,
+                    (true, true) => 2.0,
+                    (false, true) => 3.0,
+                };
                 let n = f64::from(layout.form.nside.nside());
+                let in_quarter = t - quarter;
                 let [p, m] = match layout.form.pixelation {
                     Pixelation::Healpix if d.z > 2.0 / 3.0 => {
                         let sigma = 6.0f64.sqrt() * (theta / 2.0).sin();
-                        [n * t.fract() * sigma, n * (1.0 - t.fract()) * sigma]
+                        [n * in_quarter * sigma, n * (1.0 - in_quarter) * sigma]
                     }
                     Pixelation::Healpix => {
-                        [n * (t.fract() + 0.5 - 0.75 * d.z), n * (1.5 - t.fract() - 0.75 * d.z)]
+                        [n * (in_quarter + 0.5 - 0.75 * d.z), n * (1.5 - in_quarter - 0.75 * d.z)]
                     }
                     Pixelation::LatLong => {
                         let rows = (0..).find(|r| 4 * (r + 1) * r > layout.hemisphere.points()).unwrap();
@@ -438,7 +483,7 @@ pub(super) mod reference {
                     Pixelation::Fibonacci => unreachable!("a layout refuses it"),
                 };
                 // The pixel's own origin is a whole number away from what float32 says.
-                let pixel = layout.hemisphere.pixel(d.as_vec3().to_array()).at;
+                let pixel = layout.hemisphere.pixels(d.as_vec3().to_array()).at;
                 let within = |x: f64, at: f32| x - (x - f64::from(at)).round();
                 let (p, m) = (within(p, pixel[0]), within(m, pixel[1]));
                 [(1.0 - p) * (1.0 - m), p * (1.0 - m), (1.0 - p) * m, p * m]

@@ -1,11 +1,12 @@
 use super::*;
+use crate::brdf::Brdf;
 use crate::healpix::Healpix;
 use crate::kernel::ONE_MAX_RELATIVE_DIFFERENCE;
 use crate::network::{Activation, tests::patterned};
+use crate::simd::{LANES, Lane3};
 use crate::spherical::pixelation::Pixelation;
 use crate::spherical::store::{Codebook, StoreKind};
-use crate::spherical::tables::Form;
-use crate::spherical::tables::Interpolation;
+use crate::spherical::tables::{Form, Interpolation, MAX_TABLES, Taps, scalar_taps};
 use glam::DVec3;
 use half::f16;
 
@@ -78,7 +79,7 @@ fn pairs(n: usize) -> Vec<(DVec3, DVec3)> {
 }
 
 fn agrees_with_the_reference(material: &Spherical) {
-    let pairs = pairs(203);
+    let pairs = pairs(2003);
     let (light, view): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().map(|(l, v)| (l.as_vec3(), v.as_vec3())).unzip();
     let mut batch = vec![Vec3::ZERO; pairs.len()];
     material.eval_batch(&light, &view, &mut batch);
@@ -113,6 +114,102 @@ fn every_form_agrees_with_the_reference_and_across_kernels() {
             }
         }
     }
+}
+
+/// Random directions, with every fourth on a boundary: a point of the grid, an axis, the pole, the horizon, a
+/// number that is none.
+fn boundary_direction(layout: &Layout, i: usize) -> [f32; 3] {
+    let odd = [
+        [0.0, 0.0, 1.0],
+        [-0.0, 0.0, 1.0],
+        [1.0, 0.0, 0.0],
+        [1.0, -0.0, 1e-30],
+        [-1.0, 0.0, 0.0],
+        [0.6, -0.0, 0.8],
+        [0.0, -0.8, 0.6],
+        [-0.0, 0.8, 0.6],
+        [f32::NAN, 0.6, 0.8],
+        [0.6, 0.0, f32::NAN],
+        [f32::INFINITY, 0.0, 0.0],
+        [f32::MAX, f32::MIN, -1.0],
+        [0.3, 0.4, -0.866],
+        [0.0; 3],
+    ];
+    let points = layout.hemisphere().points();
+    match i % 8 {
+        1 => odd[i / 8 % odd.len()],
+        5 => layout.hemisphere().direction(i / 8 % points).as_vec3().to_array(),
+        _ => {
+            let (z, phi) = (i as f64 * 0.754_877_666_2 % 1.0, i as f64 * 0.569_840_290_9 % 1.0);
+            let (r, phi) = ((1.0 - z * z).sqrt(), phi * std::f64::consts::TAU);
+            DVec3::new(r * phi.cos(), r * phi.sin(), z).as_vec3().to_array()
+        }
+    }
+}
+
+crate::dispatch! {
+    fn taps_of_tile(isa, layout: &Layout, light: &Lane3, view: &Lane3, taps: &mut [Taps<LANES>; MAX_TABLES]) {
+        layout.taps(isa, Vector::load3(isa, light), Vector::load3(isa, view), taps);
+    }
+}
+
+fn same_taps_as_one_by_one(layout: &Layout, pairs: usize) {
+    let grids = layout.form().grids;
+    let points = layout.rows().len() as u32;
+    for start in (0..pairs).step_by(LANES) {
+        let mut sides = [[[0.0; LANES]; 3]; 2];
+        let mut scalar = Vec::new();
+        for lane in 0..LANES {
+            let i = start + lane;
+            let [light, view] = [i, 7 * i + 3].map(|i| boundary_direction(layout, i));
+            for c in 0..3 {
+                sides[0][c][lane] = light[c];
+                sides[1][c][lane] = view[c];
+            }
+            scalar.push(scalar_taps(layout, light, view));
+        }
+        let mut taps = [Taps::EMPTY; MAX_TABLES];
+        taps_of_tile(layout, &sides[0], &sides[1], &mut taps);
+        for (lane, scalar) in scalar.into_iter().enumerate() {
+            assert_eq!(scalar.len(), grids.tables());
+            for (table, scalar) in scalar.into_iter().enumerate() {
+                assert_eq!(scalar.len(), layout.tap_count(table));
+                for (tap, (point, weight)) in scalar.into_iter().enumerate() {
+                    let (found, by) = (taps[table].points[tap][lane], taps[table].weights[tap][lane]);
+                    assert!(found < points, "{grids:?}: point {found} of {points}");
+                    assert_eq!(found, point as u32, "{:?}, pair {}", layout.form(), start + lane);
+                    let same = by.to_bits() == weight.to_bits() || by.is_nan() && weight.is_nan();
+                    assert!(same, "{:?}, pair {}: {by} {weight}", layout.form(), start + lane);
+                }
+            }
+        }
+    }
+}
+
+/// Pixels and weights have the same bits in lanes as one by one, where they are held against a HEALPix library
+/// and float64.
+#[test]
+fn look_ups_in_lanes_are_those_of_single_numbers() {
+    let mut forms = 0;
+    for grids in GRIDS {
+        for interpolation in INTERPOLATIONS {
+            for (pixelation, nside, pairs) in [
+                (Pixelation::Healpix, 1, 1 << 12),
+                (Pixelation::Healpix, 32, 1 << 16),
+                (Pixelation::Healpix, 256, 1 << 12),
+                (Pixelation::LatLong, 16, 1 << 16),
+                (Pixelation::Fibonacci, 4, 1 << 12),
+            ] {
+                let nside = Healpix::try_from(nside).unwrap();
+                let form = Form { interpolation, pixelation, nside, ..form(grids) };
+                if let Ok(layout) = Layout::new(form) {
+                    same_taps_as_one_by_one(&layout, pairs);
+                    forms += pairs;
+                }
+            }
+        }
+    }
+    assert!(forms > 1_000_000, "{forms} pairs");
 }
 
 #[test]

@@ -11,7 +11,7 @@ pub(crate) mod stages;
 use glimt_core::dispatch;
 use glimt_core::math::exp;
 use glimt_core::network::Activation;
-use glimt_core::simd::LANES;
+use glimt_core::simd::{LANES, Vector};
 use glimt_core::spherical::store::StoreKind;
 use glimt_core::spherical::tables::{Layout, MAX_TABLES, Taps};
 use glimt_core::spherical::{MAX_BOUND, OUTPUT_SCALE, from_output};
@@ -218,9 +218,10 @@ impl SphericalObjective<'_> {
 }
 
 dispatch! {
-    fn find(_isa, layout: &Layout, pairs: &PairBlock, taps: &mut [[Taps<LANES>; MAX_TABLES]]) {
+    fn find(isa, layout: &Layout, pairs: &PairBlock, taps: &mut [[Taps<LANES>; MAX_TABLES]]) {
         for (column, taps) in taps.iter_mut().enumerate() {
-            layout.taps(&lanes(&pairs.light, column), &lanes(&pairs.view, column), taps);
+            let [light, view] = [&pairs.light, &pairs.view].map(|rows| lanes(rows, column));
+            layout.taps(isa, Vector::load3(isa, &light), Vector::load3(isa, &view), taps);
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use glimt_core::healpix::Healpix;
+use glimt_core::simd::{Portable, Vector};
 use glimt_core::spherical::tables::{Layout, MAX_TABLES, Taps};
 
 use crate::truth::Truth;
@@ -18,8 +19,9 @@ pub(crate) fn prune(layout: &Layout, truth: Truth) -> Option<(Vec<u32>, Vec<usiz
     let places = layout.places();
     let mut supervised = vec![false; places.len()];
     for (l, v) in light.iter().zip(view) {
-        let mut taps = [Taps::<1>::EMPTY; MAX_TABLES];
-        layout.taps(&l.to_array().map(|x| [x]), &v.to_array().map(|x| [x]), &mut taps);
+        let mut taps = [Taps::<4>::EMPTY; MAX_TABLES];
+        let [l, v] = [*l, *v].map(|w| w.to_array().map(|x| Vector::new(Portable, x)));
+        layout.taps(Portable, l, v, &mut taps);
         for (table, taps) in taps.iter().take(layout.form().grids.tables()).enumerate() {
             for tap in (0..layout.tap_count(table)).filter(|&tap| taps.weights[tap][0] > 0.0) {
                 supervised[layout.rows()[taps.points[tap][0] as usize] as usize] = true;

@@ -1,0 +1,147 @@
+//! Time of the spherical model, on one core: the look-up by itself, and evaluations against their
+//! multiply-adds.
+//!
+//!     cargo run --release -p glimt-core --example spherical_time
+//!
+//! "Look-up" is a material whose network is one layer of three neurons: directions to features, blended, and
+//! three sums of them. The limit, the rounds and `single` are those of `kernel_time`.
+
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::Vec3;
+use glimt_core::Brdf;
+use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::simd::{isa_name, multiply_adds};
+use glimt_core::spherical::pixelation::Pixelation::{Healpix, LatLong};
+use glimt_core::spherical::store::Store;
+use glimt_core::spherical::tables::Grids::{Hd, Iso, Lv};
+use glimt_core::spherical::tables::Interpolation::{Bilinear, Constant, InverseDistance};
+use glimt_core::spherical::tables::{Form, Grids, Interpolation, Layout};
+use glimt_core::spherical::{Features, Spherical};
+
+const PAIRS: usize = 4096;
+const ROUNDS: usize = 15;
+
+/// Grids, points, N, k, weights of corners, and the hidden layers' width.
+const FORMS: [(Grids, glimt_core::spherical::pixelation::Pixelation, u16, u8, Interpolation, usize); 13] = [
+    (Iso, Healpix, 32, 16, Bilinear, 16),
+    (Iso, Healpix, 32, 16, Bilinear, 32),
+    (Iso, Healpix, 32, 16, Bilinear, 64),
+    (Iso, Healpix, 16, 8, Bilinear, 32),
+    (Iso, Healpix, 32, 16, InverseDistance, 64),
+    (Iso, Healpix, 32, 16, Constant, 64),
+    (Iso, LatLong, 32, 16, Bilinear, 64),
+    (Hd, Healpix, 32, 16, Bilinear, 64),
+    (Lv, Healpix, 16, 16, Bilinear, 64),
+    (Lv, Healpix, 64, 16, Bilinear, 64),
+    (Lv, Healpix, 64, 16, InverseDistance, 64),
+    (Lv, Healpix, 64, 16, Constant, 64),
+    (Lv, LatLong, 64, 16, Bilinear, 64),
+];
+
+/// Random numbers within ±½.
+fn random() -> impl FnMut() -> f32 {
+    let mut state = 7u32;
+    move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 24) as f32 - 0.5
+    }
+}
+
+/// A material with layers of these widths between features and colours.
+fn material(layout: &Arc<Layout>, hidden: &[usize]) -> Spherical {
+    let form = layout.form();
+    let mut next = random();
+    let sizes = [&[form.inputs()], hidden, &[3]].concat();
+    let layers = sizes
+        .windows(2)
+        .map(|w| Layer {
+            weight: (0..w[0] * w[1]).map(|_| next() * 2.0 / (w[0] as f32).sqrt()).collect(),
+            bias: (0..w[1]).map(|_| next()).collect(),
+        })
+        .collect();
+    let network = Arc::new(Network::new(layers, form.inputs(), Activation::HardGelu).unwrap());
+    let rows = layout.places().len() * usize::from(form.features);
+    let store = Store::F32((0..rows).map(|_| next()).collect());
+    Spherical::new(Arc::clone(layout), network, Features { store, links: None }, 5.0).unwrap()
+}
+
+fn direction(u: f32, v: f32) -> Vec3 {
+    let (z, phi) = (0.03 + 0.97 * u.fract(), v.fract() * std::f32::consts::TAU);
+    let r = (1.0 - z * z).sqrt();
+    Vec3::new(r * phi.cos(), r * phi.sin(), z)
+}
+
+/// Six components of light and view, [component][pair].
+type Sides = [Vec<f32>; 6];
+
+/// All pairs, `width` in a call.
+fn packets(material: &Spherical, width: usize, sides: &Sides, colours: &mut [Vec<f32>; 3]) {
+    for start in (0..PAIRS).step_by(width) {
+        let side = |first: usize| [0, 1, 2].map(|c| &sides[first + c][start..start + width]);
+        let out = colours.each_mut().map(|c| &mut c[start..start + width]);
+        material.eval_packet(side(0), side(3), out);
+    }
+}
+
+fn seconds(work: impl FnOnce()) -> f64 {
+    let start = Instant::now();
+    work();
+    start.elapsed().as_secs_f64() / PAIRS as f64
+}
+
+fn main() {
+    let light: Vec<Vec3> = (0..PAIRS).map(|i| i as f32).map(|i| direction(i * 0.8566, i * 0.7339)).collect();
+    let view: Vec<Vec3> = (0..PAIRS).map(|i| i as f32).map(|i| direction(i * 0.6287, i * 0.5386)).collect();
+    let mut out = vec![Vec3::ZERO; PAIRS];
+    let sides: Sides = [0, 1, 2, 3, 4, 5].map(|c| {
+        let side = if c < 3 { &light } else { &view };
+        side.iter().map(|v| v[c % 3]).collect()
+    });
+    let mut colours = [0; 3].map(|_| vec![0.0; PAIRS]);
+    println!("{}; ns per evaluation (x limit)", isa_name());
+    for (grids, pixelation, nside, features, interpolation, width) in FORMS {
+        let nside = nside.try_into().unwrap();
+        let form = Form { grids, pixelation, nside, nodes: 64, features, interpolation };
+        let layout = Arc::new(Layout::new(form).unwrap());
+        let look_up = material(&layout, &[]);
+        let material = material(&layout, &[width, width]);
+        let count = material.network().multiply_adds() * PAIRS;
+        let mut times: [Vec<f64>; 6] = Default::default();
+        for _ in 0..ROUNDS {
+            let mut sum = 0.0;
+            times[0].push(seconds(|| multiply_adds(count, &mut sum)));
+            black_box(sum);
+            times[1].push(seconds(|| look_up.eval_batch(&light, &view, &mut out)));
+            times[2].push(seconds(|| material.eval_batch(&light, &view, &mut out)));
+            black_box(&out);
+            times[3].push(seconds(|| {
+                let mut last = 0.0;
+                for (&l, &v) in light.iter().zip(&view) {
+                    last = material.eval(l, v + Vec3::splat(last * 1e-30)).x;
+                }
+                black_box(last);
+            }));
+            for (time, width) in times[4..].iter_mut().zip([8, 16]) {
+                time.push(seconds(|| packets(&material, width, &sides, &mut colours)));
+                black_box(&colours);
+            }
+        }
+        let [limit, look_up, batch, single, p8, p16] = times.map(|mut times| {
+            times.sort_by(f64::total_cmp);
+            times[ROUNDS / 2] * 1e9
+        });
+        println!(
+            "{grids:?} {pixelation:?} N {} k {features} {interpolation:?} {width}x2: limit {limit:.1}, \
+             look-up {look_up:.1}, batch {batch:.1} ({:.2}), single {single:.1} ({:.2}), packets of 8 ({:.2}), \
+             16 ({:.2})",
+            form.nside.nside(),
+            batch / limit,
+            single / limit,
+            p8 / limit,
+            p16 / limit,
+        );
+    }
+}
