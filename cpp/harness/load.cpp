@@ -299,16 +299,22 @@ private:
                 {{0, 1, 2}, {2, 3, 0}}};
     }
 
-    /// [−1, 1]³, flat, normals outwards.
+    /// [−1, 1]³, flat, normals outwards, with the texture coordinates and thereby the tangents that Mitsuba's has.
     static Mesh cube() {
+        static constexpr Vec along_u[6] = {{0, 1, 0}, {0, 1, 0}, {-1, 0, 0}, {0, 0, 1}, {0, 1, 0}, {0, -1, 0}};
+        static constexpr Vec normals[6] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
+        const Mesh square = rectangle();
         Mesh cube;
-        for (const Vec normal : {Vec{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}}) {
-            const Frame face(normal, {});
+        for (int i = 0; i < 6; ++i) {
+            const Frame face(normals[i], along_u[i]);
             const auto base = static_cast<std::uint32_t>(cube.positions.size());
-            for (const Vec corner : rectangle().positions)
+            for (const Vec corner : square.positions)
                 cube.positions.push_back(face.to_world(corner + Vec{0, 0, 1}));
-            cube.triangles.push_back({base, base + 1, base + 2});
-            cube.triangles.push_back({base + 2, base + 3, base});
+            // v runs against the bitangent on every face.
+            for (const auto &[u, v] : square.uvs)
+                cube.uvs.push_back({u, 1 - v});
+            for (const auto &[a, b, c] : square.triangles)
+                cube.triangles.push_back({base + a, base + b, base + c});
         }
         return cube;
     }
