@@ -1,44 +1,50 @@
 //! Time of the spherical model, on one core: the look-up by itself, and evaluations against their
 //! multiply-adds.
 //!
-//!     cargo run --release -p glimt-core --example spherical_time
+//!     cargo run --release -p glimt-core --example spherical_time [TEXT]
 //!
-//! "Look-up" is a material whose network is one layer of three neurons: directions to features, blended, and
-//! three sums of them. The limit, the rounds and `single` are those of `kernel_time`.
+//! measures what has TEXT in its name, and without it everything.
+//!
+//! "Layers" is the network of a batch by itself, and "look-up" what a batch takes besides: directions to
+//! features, and f from the network's output. The limit, the rounds and `single` are those of `kernel_time`.
 
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 
 use glam::Vec3;
-use glimt_core::Brdf;
-use glimt_core::network::{Activation, Layer, Network};
-use glimt_core::simd::{isa_name, multiply_adds};
-use glimt_core::spherical::pixelation::Pixelation::{Healpix, LatLong};
-use glimt_core::spherical::store::Store;
+use glimt_core::network::{Activation, Layer, MAX_WIDTH, Network, Rows};
+use glimt_core::simd::{Lane, Lanes, isa_name, multiply_adds};
+use glimt_core::spherical::pixelation::Pixelation::{self, Healpix, LatLong};
+use glimt_core::spherical::store::{Codebook, Store};
 use glimt_core::spherical::tables::Grids::{Hd, Iso, Lv};
 use glimt_core::spherical::tables::Interpolation::{Bilinear, Constant, InverseDistance};
 use glimt_core::spherical::tables::{Form, Grids, Interpolation, Layout};
 use glimt_core::spherical::{Features, Spherical};
+use glimt_core::{Brdf, dispatch};
+use half::f16;
 
 const PAIRS: usize = 4096;
 const ROUNDS: usize = 15;
 
-/// Grids, points, N, k, weights of corners, and the hidden layers' width.
-const FORMS: [(Grids, glimt_core::spherical::pixelation::Pixelation, u16, u8, Interpolation, usize); 13] = [
-    (Iso, Healpix, 32, 16, Bilinear, 16),
-    (Iso, Healpix, 32, 16, Bilinear, 32),
-    (Iso, Healpix, 32, 16, Bilinear, 64),
-    (Iso, Healpix, 16, 8, Bilinear, 32),
-    (Iso, Healpix, 32, 16, InverseDistance, 64),
-    (Iso, Healpix, 32, 16, Constant, 64),
-    (Iso, LatLong, 32, 16, Bilinear, 64),
-    (Hd, Healpix, 32, 16, Bilinear, 64),
-    (Lv, Healpix, 16, 16, Bilinear, 64),
-    (Lv, Healpix, 64, 16, Bilinear, 64),
-    (Lv, Healpix, 64, 16, InverseDistance, 64),
-    (Lv, Healpix, 64, 16, Constant, 64),
-    (Lv, LatLong, 64, 16, Bilinear, 64),
+/// Grids, points, N, k, weights of corners, width of the hidden layers, and bits of an index where there is a
+/// codebook.
+type Case = (Grids, Pixelation, u16, u8, Interpolation, usize, Option<u8>);
+
+const CASES: [Case; 13] = [
+    (Iso, Healpix, 32, 16, Bilinear, 16, None),
+    (Iso, Healpix, 32, 16, Bilinear, 32, None),
+    (Iso, Healpix, 32, 16, Bilinear, 64, None),
+    (Iso, Healpix, 16, 8, Bilinear, 32, None),
+    (Iso, Healpix, 32, 16, InverseDistance, 64, None),
+    (Iso, Healpix, 32, 16, Constant, 64, None),
+    (Iso, LatLong, 32, 16, Bilinear, 64, None),
+    (Hd, Healpix, 32, 16, Bilinear, 64, None),
+    (Lv, Healpix, 16, 16, Bilinear, 64, None),
+    (Lv, Healpix, 64, 16, Bilinear, 64, None),
+    (Lv, Healpix, 64, 16, Bilinear, 64, Some(9)),
+    (Lv, Healpix, 64, 16, InverseDistance, 64, Some(9)),
+    (Lv, Healpix, 64, 16, Constant, 64, Some(9)),
 ];
 
 /// Random numbers within ±½.
@@ -50,11 +56,11 @@ fn random() -> impl FnMut() -> f32 {
     }
 }
 
-/// A material with layers of these widths between features and colours.
-fn material(layout: &Arc<Layout>, hidden: &[usize]) -> Spherical {
+/// A material with two layers of this width between features and colours.
+fn material(layout: &Arc<Layout>, width: usize, codebook: Option<u8>) -> Spherical {
     let form = layout.form();
     let mut next = random();
-    let sizes = [&[form.inputs()], hidden, &[3]].concat();
+    let sizes = [form.inputs(), width, width, 3];
     let layers = sizes
         .windows(2)
         .map(|w| Layer {
@@ -63,9 +69,40 @@ fn material(layout: &Arc<Layout>, hidden: &[usize]) -> Spherical {
         })
         .collect();
     let network = Arc::new(Network::new(layers, form.inputs(), Activation::HardGelu).unwrap());
-    let rows = layout.places().len() * usize::from(form.features);
-    let store = Store::F32((0..rows).map(|_| next()).collect());
+    let (rows, k) = (layout.places().len(), usize::from(form.features));
+    let store = match codebook {
+        None => Store::F32((0..rows * k).map(|_| next()).collect()),
+        Some(bits) => {
+            let primitives = (0..k << bits).map(|_| f16::from_f32(next())).collect();
+            let indices = (0..rows).map(|_| ((next() + 0.5) * f32::from(1u16 << bits)) as u16).collect();
+            Store::Indexed { bits, indices, codebook: Arc::new(Codebook { primitives }) }
+        }
+    };
     Spherical::new(Arc::clone(layout), network, Features { store, links: None }, 5.0).unwrap()
+}
+
+dispatch! {
+    /// The network for as many pairs as a batch has, in as many lanes as a batch.
+    fn layers(isa, network: &Network, bias: &[Lane], sum: &mut f32) {
+        match I::BATCH {
+            4 => layers_of_lanes::<I, 4>(isa, network, bias, sum),
+            8 => layers_of_lanes::<I, 8>(isa, network, bias, sum),
+            16 => layers_of_lanes::<I, 16>(isa, network, bias, sum),
+            _ => layers_of_lanes::<I, 32>(isa, network, bias, sum),
+        }
+    }
+}
+
+#[inline(always)]
+fn layers_of_lanes<I: Lanes<L>, const L: usize>(isa: I, network: &Network, bias: &[Lane], sum: &mut f32) {
+    let mut x = [[0.5; L]; MAX_WIDTH];
+    for _ in 0..PAIRS / L {
+        let mut y = Rows::default();
+        network.forward_tile(isa, bias.as_flattened(), &x, &mut y);
+        // The next ones wait for these, and are others.
+        x[0][0] = y[0][0] * 1e-30;
+        *sum += y[0][L - 1];
+    }
 }
 
 fn direction(u: f32, v: f32) -> Vec3 {
@@ -101,20 +138,28 @@ fn main() {
         side.iter().map(|v| v[c % 3]).collect()
     });
     let mut colours = [0; 3].map(|_| vec![0.0; PAIRS]);
+    let chosen = std::env::args().nth(1).unwrap_or_default();
     println!("{}; ns per evaluation (x limit)", isa_name());
-    for (grids, pixelation, nside, features, interpolation, width) in FORMS {
+    for (grids, pixelation, nside, features, interpolation, width, codebook) in CASES {
+        let table = codebook.map_or("f32".into(), |bits| format!("codebook {bits}"));
+        let name =
+            format!("{grids:?} {pixelation:?} N {nside} k {features} {table} {interpolation:?} {width}x2");
+        if !name.contains(&chosen) {
+            continue;
+        }
         let nside = nside.try_into().unwrap();
         let form = Form { grids, pixelation, nside, nodes: 64, features, interpolation };
         let layout = Arc::new(Layout::new(form).unwrap());
-        let look_up = material(&layout, &[]);
-        let material = material(&layout, &[width, width]);
+        let material = material(&layout, width, codebook);
+        let network = material.network();
+        let bias = network.fold(&[]);
         let count = material.network().multiply_adds() * PAIRS;
         let mut times: [Vec<f64>; 6] = Default::default();
         for _ in 0..ROUNDS {
             let mut sum = 0.0;
             times[0].push(seconds(|| multiply_adds(count, &mut sum)));
+            times[1].push(seconds(|| layers(network, &bias, &mut sum)));
             black_box(sum);
-            times[1].push(seconds(|| look_up.eval_batch(&light, &view, &mut out)));
             times[2].push(seconds(|| material.eval_batch(&light, &view, &mut out)));
             black_box(&out);
             times[3].push(seconds(|| {
@@ -129,16 +174,15 @@ fn main() {
                 black_box(&colours);
             }
         }
-        let [limit, look_up, batch, single, p8, p16] = times.map(|mut times| {
+        let [limit, layers, batch, single, p8, p16] = times.map(|mut times| {
             times.sort_by(f64::total_cmp);
             times[ROUNDS / 2] * 1e9
         });
         println!(
-            "{grids:?} {pixelation:?} N {} k {features} {interpolation:?} {width}x2: limit {limit:.1}, \
-             look-up {look_up:.1}, batch {batch:.1} ({:.2}), single {single:.1} ({:.2}), packets of 8 ({:.2}), \
-             16 ({:.2})",
-            form.nside.nside(),
+            "{name}: limit {limit:.1}, batch {batch:.1} ({:.2}) = layers {layers:.1} + look-up {:.1}, \
+             single {single:.1} ({:.2}), packets of 8 ({:.2}), 16 ({:.2})",
             batch / limit,
+            batch - layers,
             single / limit,
             p8 / limit,
             p16 / limit,

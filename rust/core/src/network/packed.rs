@@ -245,14 +245,12 @@ impl PackedLayer {
             add_column(isa, &self.weights[at..], x, &mut sums);
             at += self.stride;
         }
-        let rows = y.push::<ROWS>();
-        for r in 0..ROWS {
-            let sum = match activation {
-                Some(activation) => activation.activate(isa, sums[r]),
-                None => sums[r],
-            };
-            isa.store(sum, &mut rows[r]);
+        if let Some(activation) = activation {
+            for r in 0..ROWS {
+                sums[r] = activation.activate(isa, sums[r]);
+            }
         }
+        y.push(isa, sums);
         ROWS
     }
 }

@@ -55,17 +55,18 @@ impl<const L: usize> Rows<L> {
         self.len = 0;
     }
 
-    /// `ROWS` more rows of zeros, to be overwritten.
+    /// `ROWS` more rows.
     #[inline(always)]
-    pub(crate) fn push<const ROWS: usize>(&mut self) -> &mut [[f32; L]; ROWS] {
+    pub(crate) fn push<I: Lanes<L>, const ROWS: usize>(&mut self, isa: I, vectors: [I::Vector; ROWS]) {
         let rows: &mut [MaybeUninit<[f32; L]>; ROWS] =
             self.values[self.len..].first_chunk_mut().expect("no layer is wider than MAX_WIDTH");
-        for row in rows.iter_mut() {
-            row.write([0.0; L]);
+        for r in 0..ROWS {
+            // Stored to the row itself once this is compiled.
+            let mut row = [0.0; L];
+            isa.store(vectors[r], &mut row);
+            rows[r].write(row);
         }
         self.len += ROWS;
-        // SAFETY: the rows have just been written, and the layouts are the same.
-        unsafe { &mut *std::ptr::from_mut(rows).cast() }
     }
 }
 

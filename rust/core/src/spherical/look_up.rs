@@ -118,11 +118,7 @@ impl<const L: usize> Blend<'_, L> {
                 }
             }
             for first in (0..K).step_by(4) {
-                let columns = isa.columns(&rows, first);
-                let x = x.push::<4>();
-                for c in 0..4 {
-                    isa.store(columns[c], &mut x[c]);
-                }
+                x.push(isa, isa.columns(&rows, first));
             }
         }
     }
