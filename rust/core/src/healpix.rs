@@ -49,6 +49,12 @@ pub(crate) struct Pixels<F> {
     pub at: [F; 2],
 }
 
+impl From<Pixels<f32>> for Pixel {
+    fn from(Pixels { corners, at }: Pixels<f32>) -> Pixel {
+        Pixel { corners: corners.map(|corner| corner as u32), at }
+    }
+}
+
 impl TryFrom<u16> for Healpix {
     type Error = String;
 
@@ -88,8 +94,7 @@ impl Healpix {
     /// grid.
     #[must_use]
     pub fn pixel(self, direction: [f32; 3]) -> Pixel {
-        let Pixels { corners, at } = self.pixels(direction);
-        Pixel { corners: corners.map(|corner| corner as u32), at }
+        self.pixels(direction).into()
     }
 
     /// [`Healpix::pixel`] in any number of lanes.

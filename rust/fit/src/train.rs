@@ -75,7 +75,7 @@ pub struct Progress {
 }
 
 /// Steps between reports.
-const REPORT_EVERY: u64 = 50;
+pub(crate) const REPORT_EVERY: u64 = 50;
 
 /// How [`train`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

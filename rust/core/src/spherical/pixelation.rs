@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::healpix::{Healpix, Pixels, azimuth, limit, quarter_turn};
+use crate::healpix::{Healpix, Pixel, Pixels, azimuth, limit, quarter_turn};
 use crate::math::floor;
 use crate::simd::Real;
 
@@ -65,6 +65,12 @@ impl Hemisphere {
             Hemisphere::LatLong(grid) => grid.direction(point),
             Hemisphere::Fibonacci(grid) => grid.directions[point].as_dvec3(),
         }
+    }
+
+    /// The pixel of one direction; of a Fibonacci lattice, the four nearest points, and no place among them.
+    #[must_use]
+    pub fn pixel(&self, direction: [f32; 3]) -> Pixel {
+        self.pixels(direction).into()
     }
 
     /// The pixels of directions; of a Fibonacci lattice, the four nearest points.

@@ -5,8 +5,11 @@
 //! pass the rounding or the choice unchanged ("straight through").
 
 pub(crate) mod cluster;
+mod codebook;
 pub(crate) mod prune;
+mod refine;
 pub(crate) mod stages;
+mod turn;
 
 use glimt_core::dispatch;
 use glimt_core::math::exp;
@@ -32,26 +35,25 @@ pub enum Stage {
     /// The nearest integers times the scale of the table's feature, at most this large. The derivatives
     /// pass the rounding unchanged ("straight through").
     Rounded(i8),
-    /// The nearest primitive of the codebook. The derivatives are those of a soft choice between the
-    /// candidates, by which features and primitives both move.
-    Soft,
+    /// The primitive that is chosen. The derivatives are the primitive's and, as if there were no choice, the
+    /// features', by which the next choice is made.
+    Choosing,
     /// The primitive that was chosen last. Only primitives move.
     Chosen,
 }
 
-/// Primitives between which a row's choice is soft.
-pub const CANDIDATES: usize = 4;
-
 /// Fits the network and the features together.
 ///
 /// Shared numbers are the network's, then the scales of [`StoreKind::I8`] and [`StoreKind::I4`], [table][k], or
-/// the codebook, [2ᵇ][k]. A material's own are its features, [row][k], and with a codebook the candidates
-/// of each row, nearest first, [row][[`CANDIDATES`]], as whole numbers. Scales and candidates have no
-/// derivatives, and so stay as they are while the others move.
+/// the codebook, [2ᵇ][k]. A material's own are its features, [row][k], and with a codebook the primitive
+/// of each row, [row], as a whole number. Scales and choices have no derivatives, and so stay as they are
+/// while the others move. Where there are fewer rows than `rows`, the last numbers stand for nothing.
 #[derive(Clone, Debug)]
 pub struct SphericalObjective<'a> {
     /// The tables.
     pub layout: &'a Layout,
+    /// Rows of the finest tables that the fit will have, for which there is room.
+    pub rows: usize,
     /// Sizes of the network.
     pub shape: Shape,
     /// What is minimised.
@@ -77,7 +79,7 @@ struct Parts<Slice> {
     scales: Slice,
     codebook: Slice,
     features: Slice,
-    candidates: Slice,
+    choices: Slice,
 }
 
 impl Objective for SphericalObjective<'_> {
@@ -88,8 +90,7 @@ impl Objective for SphericalObjective<'_> {
     }
 
     fn own_len(&self) -> usize {
-        let rows = self.layout.places().len();
-        rows * (self.features() + if self.codebook_len() > 0 { CANDIDATES } else { 0 })
+        self.rows * (self.features() + usize::from(self.codebook_len() > 0))
     }
 
     fn workspace(&self) -> Box<SphericalWorkspace> {
@@ -153,8 +154,8 @@ impl SphericalObjective<'_> {
     fn parts<'n>(&self, shared: &'n [f32], own: &'n [f32]) -> Parts<&'n [f32]> {
         let (network, rest) = shared.split_at(self.shape.len());
         let (scales, codebook) = rest.split_at(self.scales_len());
-        let (features, candidates) = own.split_at(self.layout.places().len() * self.features());
-        Parts { network, scales, codebook, features, candidates }
+        let (features, choices) = own.split_at(self.rows * self.features());
+        Parts { network, scales, codebook, features, choices }
     }
 
     /// Evaluates network and f for a block.
@@ -266,8 +267,7 @@ fn gather_rows<const K: usize>(
                             let (scales, _) = parts.scales.as_chunks::<K>();
                             rounded(&features[row], &scales[table], largest.into())
                         }
-                        Stage::Soft => Choice::new(&features[row], row, parts).nearest(),
-                        Stage::Chosen => primitive(parts, row * CANDIDATES),
+                        Stage::Choosing | Stage::Chosen => primitive(parts, row),
                     };
                     let weight = taps.weights[tap][lane];
                     for j in 0..K {
@@ -312,7 +312,6 @@ fn scatter_rows<const K: usize>(
     codebook_gradient: &mut [f32],
 ) {
     let rows = objective.layout.rows();
-    let (features, _) = parts.features.as_chunks::<K>();
     let (features_gradient, _) = features_gradient.as_chunks_mut::<K>();
     let (codebook_gradient, _) = codebook_gradient.as_chunks_mut::<K>();
     for (table, delta) in delta.chunks_exact(K).enumerate() {
@@ -327,23 +326,12 @@ fn scatter_rows<const K: usize>(
                 for tap in 0..count {
                     let row = rows[taps.points[tap][lane] as usize] as usize;
                     let weight = taps.weights[tap][lane];
-                    match objective.stage {
-                        Stage::Free | Stage::Rounded(_) => {
-                            add_scaled(&mut features_gradient[row], weight, &by_feature);
-                        }
-                        Stage::Soft => {
-                            let choice = Choice::new(&features[row], row, parts);
-                            choice.add_gradient(
-                                weight,
-                                &by_feature,
-                                &mut features_gradient[row],
-                                codebook_gradient,
-                            );
-                        }
-                        Stage::Chosen => {
-                            let chosen = parts.candidates[row * CANDIDATES] as usize;
-                            add_scaled(&mut codebook_gradient[chosen], weight, &by_feature);
-                        }
+                    if objective.stage != Stage::Chosen {
+                        add_scaled(&mut features_gradient[row], weight, &by_feature);
+                    }
+                    if matches!(objective.stage, Stage::Choosing | Stage::Chosen) {
+                        let chosen = parts.choices[row] as usize;
+                        add_scaled(&mut codebook_gradient[chosen], weight, &by_feature);
                     }
                 }
             }
@@ -368,86 +356,10 @@ fn rounded<const K: usize>(features: &[f32; K], scales: &[f32; K], largest: f32)
     rounded
 }
 
-/// The primitive that the candidate at `place` is.
+/// The primitive that stands for a row.
 #[inline(always)]
-fn primitive<const K: usize>(parts: &Parts<&[f32]>, place: usize) -> [f32; K] {
-    parts.codebook.as_chunks::<K>().0[parts.candidates[place] as usize]
-}
-
-/// A row's soft choice between its candidates: weights ∝ exp(−d²/τ) of their distances d, with τ the mean
-/// of d², so that the choice is as soft where primitives are dense as where they are far apart.
-struct Choice<const K: usize> {
-    candidates: [usize; CANDIDATES],
-    primitives: [[f32; K]; CANDIDATES],
-    weights: [f32; CANDIDATES],
-    temperature: f32,
-}
-
-impl<const K: usize> Choice<K> {
-    #[inline(always)]
-    fn new(features: &[f32; K], row: usize, parts: &Parts<&[f32]>) -> Self {
-        let mut candidates = [0; CANDIDATES];
-        let mut primitives = [[0.0; K]; CANDIDATES];
-        let mut distances = [0.0; CANDIDATES];
-        for c in 0..CANDIDATES {
-            candidates[c] = parts.candidates[row * CANDIDATES + c] as usize;
-            primitives[c] = primitive(parts, row * CANDIDATES + c);
-            for j in 0..K {
-                let d = features[j] - primitives[c][j];
-                distances[c] += d * d;
-            }
-        }
-        // A row that meets all its candidates has nothing to choose.
-        const LEAST: f32 = 1e-12;
-        let temperature = (distances.iter().sum::<f32>() / CANDIDATES as f32).max(LEAST);
-        let least = distances.iter().copied().fold(f32::MAX, f32::min);
-        let mut weights = [0.0; CANDIDATES];
-        for c in 0..CANDIDATES {
-            weights[c] = exp((least - distances[c]) / temperature);
-        }
-        let scale = 1.0 / weights.iter().sum::<f32>();
-        weights.iter_mut().for_each(|weight| *weight *= scale);
-        Choice { candidates, primitives, weights, temperature }
-    }
-
-    /// The primitive of the largest weight.
-    #[inline(always)]
-    fn nearest(&self) -> [f32; K] {
-        let mut best = 0;
-        for c in 1..CANDIDATES {
-            if self.weights[c] > self.weights[best] {
-                best = c;
-            }
-        }
-        self.primitives[best]
-    }
-
-    /// Adds the derivatives of the features, and of the candidates, when `weight` times `by_feature` are
-    /// those of the weighted mean of the candidates.
-    #[inline(always)]
-    fn add_gradient(
-        &self,
-        weight: f32,
-        by_feature: &[f32; K],
-        features: &mut [f32; K],
-        codebook: &mut [[f32; K]],
-    ) {
-        let mut mean = [0.0; K];
-        for c in 0..CANDIDATES {
-            add_scaled(&mut codebook[self.candidates[c]], weight * self.weights[c], by_feature);
-            add_scaled(&mut mean, self.weights[c], &self.primitives[c]);
-        }
-        // ∂w_c/∂e = 2 w_c (p_c − p̄)/τ, as the exponents' common part falls out.
-        for c in 0..CANDIDATES {
-            let mut offset = [0.0; K];
-            let mut by_weight = 0.0;
-            for j in 0..K {
-                offset[j] = self.primitives[c][j] - mean[j];
-                by_weight += by_feature[j] * offset[j];
-            }
-            add_scaled(features, weight * by_weight * self.weights[c] * 2.0 / self.temperature, &offset);
-        }
-    }
+fn primitive<const K: usize>(parts: &Parts<&[f32]>, row: usize) -> [f32; K] {
+    parts.codebook.as_chunks::<K>().0[parts.choices[row] as usize]
 }
 
 dispatch! {

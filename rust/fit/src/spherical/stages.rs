@@ -8,26 +8,28 @@ use glimt_core::spherical::store::{Codebook, Store, StoreKind, scales};
 use glimt_core::spherical::tables::Layout;
 use glimt_core::spherical::{Features, Spherical};
 use half::f16;
-use rayon::prelude::*;
 
 use super::cluster::clusters;
 use super::prune::prune;
-use super::{CANDIDATES, SphericalObjective, Stage};
+use super::refine::layouts;
+use super::{SphericalObjective, Stage};
 use crate::adamw::Moments;
 use crate::backprop::Shape;
 use crate::error::Error;
 use crate::fit::{BOUND_MARGIN, JUDGE_BLOCKS, Judge, Watch};
 use crate::objective::Objective;
 use crate::options::SphericalOptions;
-use crate::train::{End, Progress, Schedule, State, train};
+use crate::train::{End, Progress, REPORT_EVERY, Schedule, State, train};
 use crate::truth::Truth;
 
-/// Share of the steps before features are rounded or chosen, …
-const FREE_SHARE: f64 = 0.5;
-/// … and before choices are final.
-const SOFT_SHARE: f64 = 0.8;
-/// Steps between new candidates: a multiple of those between reports.
-const CHOICE_STEPS: u64 = 250;
+/// Share of the steps with tables that are coarser than the form's; features are rounded thereafter.
+const COARSE_SHARE: f64 = 0.6;
+/// The same with a codebook, whose choices take their time, too, …
+const COARSE_SHARE_OF_CODEBOOKS: f64 = 0.3;
+/// … before they are final.
+const CHOSEN_AFTER: f64 = 0.9;
+/// Steps between choices.
+const CHOICE_STEPS: u64 = REPORT_EVERY;
 
 /// How a fit ended.
 pub(crate) enum SphericalEnd {
@@ -43,10 +45,12 @@ pub(crate) fn fit_spherical(
     resumed: Option<State>,
     watch: &mut Watch,
 ) -> Result<SphericalEnd, Error> {
-    let layout = Arc::new(Layout::new(options.form).map_err(Error::Options)?);
+    let layouts = layouts(options.form).map_err(Error::Options)?;
+    let layout = layouts.last().expect("the form's own");
     let shape = Shape::new(options.form.inputs(), &options.net.hidden(), 3, SphericalObjective::ACTIVATION);
     let mut objective = SphericalObjective {
-        layout: &layout,
+        layout: &layouts[0],
+        rows: layout.places().len(),
         shape,
         loss: options.loss,
         store: options.store,
@@ -98,7 +102,7 @@ pub(crate) fn fit_spherical(
             let progress = Progress { step: progress.step + before, steps: total, ..*progress };
             watch(&progress, Some(&state))
         };
-        let end = run_stages(&mut objective, &truths, schedule, &mut part, &mut report);
+        let end = run_stages(&mut objective, &layouts, &truths, schedule, &mut part, &mut report);
         keep(&mut state, &part);
         match end {
             End::Finished => {}
@@ -106,7 +110,7 @@ pub(crate) fn fit_spherical(
             End::Diverged => return Err(Error::Diverged { step: state.step }),
         }
         let diverged = |_| Error::Diverged { step: state.step };
-        let materials = materials(&objective, &layout, &truths, &part.numbers, schedule).map_err(diverged)?;
+        let materials = materials(&objective, layout, &truths, &part.numbers, schedule).map_err(diverged)?;
         for (&i, material) in of.iter().zip(materials) {
             made[i] = Some(material);
         }
@@ -114,47 +118,83 @@ pub(crate) fn fit_spherical(
     Ok(SphericalEnd::Done(made.into_iter().map(|m| m.expect("every material is in a cluster")).collect()))
 }
 
-/// The step at which a share of a schedule's steps is done, where candidates may be renewed.
-fn boundary(schedule: &Schedule, share: f64) -> u64 {
-    (schedule.steps as f64 * share / CHOICE_STEPS as f64).round() as u64 * CHOICE_STEPS
+/// What a fit does between steps.
+#[derive(Clone, Copy)]
+enum Event {
+    /// It goes on with finer tables, those of this number.
+    Finer(usize),
+    /// It sets how features will be kept, and goes on with what that makes of them.
+    Keep,
+    /// It chooses primitives anew.
+    Choose,
+    /// Choices are final.
+    Settle,
 }
 
-/// [`train`], stage after stage.
-fn run_stages(
-    objective: &mut SphericalObjective,
+/// Events and the steps that are done before them, in order.
+fn plan(store: StoreKind, layouts: usize, steps: u64) -> Vec<(u64, Event)> {
+    let after = |share: f64| (steps as f64 * share / REPORT_EVERY as f64).round() as u64 * REPORT_EVERY;
+    let coarse = match store {
+        StoreKind::Codebook(_) => COARSE_SHARE_OF_CODEBOOKS,
+        _ => COARSE_SHARE,
+    };
+    let finest = layouts - 1;
+    let finer = |i: usize| (after(coarse * i as f64 / finest as f64), Event::Finer(i));
+    let mut plan: Vec<(u64, Event)> = (1..layouts).map(finer).collect();
+    match store {
+        StoreKind::F32 | StoreKind::F16 => {}
+        StoreKind::I8 | StoreKind::I4 => plan.push((after(coarse), Event::Keep)),
+        StoreKind::Codebook(_) => {
+            let (first, last) = (after(coarse), after(CHOSEN_AFTER));
+            plan.push((first, Event::Keep));
+            let choices = (first..last).step_by(CHOICE_STEPS as usize).skip(1);
+            plan.extend(choices.map(|step| (step, Event::Choose)));
+            plan.push((last, Event::Settle));
+        }
+    }
+    plan
+}
+
+/// [`train`], event after event.
+fn run_stages<'a>(
+    objective: &mut SphericalObjective<'a>,
+    layouts: &'a [Arc<Layout>],
     truths: &[Truth],
     schedule: &Schedule,
     state: &mut State,
     watch: &mut dyn FnMut(&Progress, &State) -> ControlFlow<()>,
 ) -> End {
-    let (free, soft) = (boundary(schedule, FREE_SHARE), boundary(schedule, SOFT_SHARE));
+    let plan = plan(objective.store, layouts.len(), schedule.steps);
+    (objective.layout, objective.stage) = (&layouts[0], Stage::Free);
     loop {
-        let step = state.step;
-        let until = match objective.store {
-            StoreKind::F32 | StoreKind::F16 => schedule.steps,
-            _ if step < free => free,
-            StoreKind::I8 | StoreKind::I4 => schedule.steps,
-            StoreKind::Codebook(_) if step < soft => (step / CHOICE_STEPS + 1) * CHOICE_STEPS,
-            StoreKind::Codebook(_) => schedule.steps,
-        };
-        objective.stage = match (objective.store, objective.store.largest()) {
-            (StoreKind::F32 | StoreKind::F16, _) => Stage::Free,
-            _ if step < free => Stage::Free,
-            (_, Some(largest)) => Stage::Rounded(largest),
-            _ if step < soft => Stage::Soft,
-            _ => Stage::Chosen,
-        };
-        if step == free {
-            objective.enter_kept(&mut state.numbers);
+        // A state is kept before the events of its step.
+        let now = state.step;
+        for &(step, event) in plan.iter().take_while(|(step, _)| *step <= now) {
+            let is_due = step == now;
+            match event {
+                Event::Finer(i) => {
+                    if is_due {
+                        objective.refine(&layouts[i], state);
+                    }
+                    objective.layout = &layouts[i];
+                }
+                Event::Keep => {
+                    if is_due {
+                        objective.enter_kept(state, schedule.seed);
+                    }
+                    objective.stage = objective.store.largest().map_or(Stage::Choosing, Stage::Rounded);
+                }
+                Event::Choose if is_due => objective.choose(state),
+                Event::Choose => {}
+                Event::Settle => objective.stage = Stage::Chosen,
+            }
         }
-        if objective.codebook_len() > 0 && step >= free && step.is_multiple_of(CHOICE_STEPS) && step <= soft {
-            objective.choose(&mut state.numbers);
-        }
+        let next = plan.iter().map(|&(step, _)| step).find(|&step| step > now);
         let mut stopped = false;
         let end = train(objective, truths, schedule, state, &mut |progress, state| {
             stopped = watch(progress, state).is_break();
-            let done = stopped || (progress.step >= until && until < schedule.steps);
-            if done { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+            let is_over = stopped || next == Some(progress.step);
+            if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
         if end != End::Stopped || stopped {
             return end;
@@ -164,91 +204,20 @@ fn run_stages(
 
 impl SphericalObjective<'_> {
     /// Sets scales or codebook from the features as they are.
-    pub(super) fn enter_kept(&self, numbers: &mut [f32]) {
-        let k = self.features();
-        let (shared, own) = numbers.split_at_mut(self.shared_len());
-        let kept = self.layout.places().len() * k;
-        let features: Vec<f32> =
-            own.chunks_exact(self.own_len()).flat_map(|own| own[..kept].iter().copied()).collect();
-        let (scale_numbers, codebook) = shared[self.shape.len()..].split_at_mut(self.scales_len());
-        if !scale_numbers.is_empty() {
-            let tables = self.row_tables();
-            let tables: Vec<usize> = tables.iter().copied().cycle().take(features.len() / k).collect();
-            scale_numbers.copy_from_slice(&scales(self.store, &features, k, &tables));
+    pub(super) fn enter_kept(&self, state: &mut State, seed: u64) {
+        if self.codebook_len() > 0 {
+            return self.make_codebook(state, seed);
         }
-        if !codebook.is_empty() {
-            means(&features, k, codebook);
-        }
+        let features = self.all_features(&state.numbers);
+        let tables = self.row_tables();
+        let tables: Vec<usize> =
+            tables.iter().copied().cycle().take(features.len() / self.features()).collect();
+        let scales = scales(self.store, &features, self.features(), &tables);
+        state.numbers[self.shape.len()..][..self.scales_len()].copy_from_slice(&scales);
     }
 
     fn row_tables(&self) -> Vec<usize> {
         self.layout.places().iter().map(|&(table, _)| table).collect()
-    }
-
-    /// Sets every row's candidates to the primitives nearest to its features.
-    pub(super) fn choose(&self, numbers: &mut [f32]) {
-        let k = self.features();
-        let (shared, own) = numbers.split_at_mut(self.shared_len());
-        let codebook = &shared[self.shape.len() + self.scales_len()..];
-        for own in own.chunks_exact_mut(self.own_len()) {
-            let (features, candidates) = own.split_at_mut(self.layout.places().len() * k);
-            let rows = features.par_chunks_exact(k).zip(candidates.par_chunks_exact_mut(CANDIDATES));
-            rows.for_each(|(features, candidates)| {
-                let mut best = [(f32::INFINITY, 0); CANDIDATES];
-                for (i, primitive) in codebook.chunks_exact(k).enumerate() {
-                    let mut entry = (distance(features, primitive), i);
-                    for best in &mut best {
-                        if entry.0 < best.0 {
-                            std::mem::swap(best, &mut entry);
-                        }
-                    }
-                }
-                for (candidate, (_, i)) in candidates.iter_mut().zip(best) {
-                    *candidate = i as f32;
-                }
-            });
-        }
-    }
-}
-
-fn distance(a: &[f32], b: &[f32]) -> f32 {
-    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
-}
-
-/// Means of `features`, rows of `k`, by Lloyd's algorithm, as many as `means` has room for; a mean that
-/// nothing is nearest to moves to the row that is furthest from its own.
-fn means(features: &[f32], k: usize, means: &mut [f32]) {
-    const ROUNDS: usize = 12;
-    let (rows, count) = (features.len() / k, means.len() / k);
-    // A stride through the rows that visits all tables evenly.
-    for (i, mean) in means.chunks_exact_mut(k).enumerate() {
-        mean.copy_from_slice(&features[i * rows / count * k..][..k]);
-    }
-    for _ in 0..ROUNDS {
-        let nearest: Vec<(usize, f32)> = features
-            .par_chunks_exact(k)
-            .map(|row| {
-                let distances = means.chunks_exact(k).map(|mean| distance(row, mean));
-                let best = distances.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
-                best.expect("there is at least one mean")
-            })
-            .collect();
-        let (mut sums, mut counts) = (vec![0.0f64; means.len()], vec![0u32; count]);
-        for (row, &(mean, _)) in features.chunks_exact(k).zip(&nearest) {
-            counts[mean] += 1;
-            sums[mean * k..][..k].iter_mut().zip(row).for_each(|(sum, &x)| *sum += f64::from(x));
-        }
-        let mut furthest: Vec<usize> = (0..rows).collect();
-        furthest.sort_by(|&a, &b| nearest[b].1.total_cmp(&nearest[a].1));
-        let mut furthest = furthest.into_iter();
-        for (i, mean) in means.chunks_exact_mut(k).enumerate() {
-            if counts[i] > 0 {
-                let sums = sums[i * k..][..k].iter();
-                mean.iter_mut().zip(sums).for_each(|(mean, sum)| *mean = (sum / f64::from(counts[i])) as f32);
-            } else if let Some(row) = furthest.next() {
-                mean.copy_from_slice(&features[row * k..][..k]);
-            }
-        }
     }
 }
 
@@ -290,7 +259,7 @@ fn materials(
             let store = match objective.store {
                 StoreKind::Codebook(bits) => Store::Indexed {
                     bits,
-                    indices: rows.iter().map(|row| parts.candidates[row * CANDIDATES] as u16).collect(),
+                    indices: rows.iter().map(|&row| parts.choices[row] as u16).collect(),
                     codebook: codebook.clone(),
                 },
                 kind if objective.stage == Stage::Free => Store::new(kind, &features, k, &tables),

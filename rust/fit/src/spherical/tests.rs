@@ -2,7 +2,7 @@ use super::*;
 use crate::fit::{Input, Outcome, fit};
 use crate::options::{Model, Net, Options, SPHERICAL_LOSS, SphericalOptions};
 use crate::pairs::{self, Drawing};
-use crate::train::Schedule;
+use crate::train::{Schedule, State};
 use crate::truth::Truth;
 use glam::Vec3;
 use glimt_core::ggx::Ggx;
@@ -30,9 +30,8 @@ fn material(alpha: [f32; 2]) -> Ggx {
     Ggx::new(Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha }).unwrap()
 }
 
-/// Every kind of number in every stage, against differences of the loss itself. In the stage of soft choices
-/// the loss is a step function of the features; what is compared there is the derivative of the soft
-/// mean, see `soft_choices_have_the_derivatives_of_their_mean`.
+/// Every kind of number, against differences of the loss itself. While primitives are chosen, the loss is a step
+/// function of the features; see `derivatives_pass_the_choice_of_primitives`.
 #[test]
 fn gradient_is_the_finite_difference_for_network_features_and_primitives() {
     let squared = Loss { absolute: 0.0, squared: 1.0, relative: 0.0 };
@@ -41,14 +40,15 @@ fn gradient_is_the_finite_difference_for_network_features_and_primitives() {
         for (store, stage) in [(StoreKind::F32, Stage::Free), (StoreKind::Codebook(3), Stage::Chosen)] {
             let layout = Layout::new(form(grids)).unwrap();
             let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
-            let objective = SphericalObjective { layout: &layout, shape, loss: squared, store, stage };
-            let mut numbers = objective.initial(5, 1);
+            let rows = layout.places().len();
+            let objective = SphericalObjective { layout: &layout, rows, shape, loss: squared, store, stage };
+            let mut state = State::new(objective.initial(5, 1));
             let (network, shared) = (objective.shape.len(), objective.shared_len());
             let features = shared..shared + layout.places().len() * 4;
             if stage == Stage::Chosen {
-                objective.enter_kept(&mut numbers);
-                objective.choose(&mut numbers);
+                objective.make_codebook(&mut state, 1);
             }
+            let numbers = state.numbers;
             let pairs = &pairs::draw(Drawing::Lobes, 3, 1, 1)[0];
             let target = &pairs::evaluate(&target, std::slice::from_ref(pairs))[0];
             let mut workspace = objective.workspace();
@@ -89,54 +89,84 @@ fn gradient_is_the_finite_difference_for_network_features_and_primitives() {
     }
 }
 
+/// A turn and a codebook with a primitive for every row make the same of every pair as the features did.
 #[test]
-fn soft_choices_have_the_derivatives_of_their_mean() {
-    const K: usize = 4;
-    let codebook: Vec<f32> = (0..6 * K).map(|i| (i as f32 * 1.7).sin()).collect();
-    let candidates = [1.0, 4.0, 0.0, 5.0];
-    let features = [0.3, -0.2, 0.5, 0.1f32];
-    let by_feature = [0.7, -1.1, 0.4, 0.9f32];
-    // The mean at a fixed temperature, as the derivative takes it.
-    let value = |features: &[f32; K], codebook: &[f32], temperature: f32| -> f64 {
-        let weights = candidates.map(|c: f32| {
-            let primitive = &codebook[c as usize * K..][..K];
-            let square: f32 = primitive.iter().zip(features).map(|(p, x)| (p - x) * (p - x)).sum();
-            f64::from(-square / temperature).exp()
-        });
-        let sum: f64 = weights.iter().sum();
-        let mean = |j: usize| -> f64 {
-            candidates
-                .iter()
-                .zip(weights)
-                .map(|(&c, w)| w / sum * f64::from(codebook[c as usize * K + j]))
-                .sum()
+fn features_turn_into_primitives_without_a_change_of_the_model() {
+    let loss = SPHERICAL_LOSS;
+    let target = material([0.3, 0.4]);
+    let pairs = &pairs::draw(Drawing::Lobes, 3, 1, 1)[0];
+    let target = &pairs::evaluate(&target, std::slice::from_ref(pairs))[0];
+    for grids in GRIDS {
+        let layout = Layout::new(form(grids)).unwrap();
+        let rows = layout.places().len();
+        let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
+        let store = StoreKind::Codebook(8);
+        let mut objective =
+            SphericalObjective { layout: &layout, rows, shape, loss, store, stage: Stage::Free };
+        let mut state = State::new(objective.initial(5, 2));
+        let values = |objective: &SphericalObjective, state: &State| -> Vec<f64> {
+            let (shared, own) = state.numbers.split_at(objective.shared_len());
+            let (mut by_shared, mut by_own) = (vec![0.0; shared.len()], vec![0.0; objective.own_len()]);
+            let workspace = &mut objective.workspace();
+            own.chunks_exact(objective.own_len())
+                .map(|own| {
+                    objective.block(workspace, shared, own, pairs, target, &mut by_shared, &mut by_own)
+                })
+                .collect()
         };
-        (0..K).map(|j| mean(j) * f64::from(by_feature[j])).sum()
-    };
-    let parts: Parts<&[f32]> = Parts {
-        network: &[],
-        scales: &[],
-        codebook: &codebook,
-        features: &features,
-        candidates: &candidates,
-    };
-    let choice = Choice::new(&features, 0, &parts);
-    let (mut by_features, mut by_codebook) = ([0.0; K], [[0.0; K]; 6]);
-    choice.add_gradient(1.0, &by_feature, &mut by_features, &mut by_codebook);
-    const STEP: f32 = 1e-3;
-    for j in 0..K {
-        let shifted = |step: f32| {
-            let mut features = features;
-            features[j] += step;
-            value(&features, &codebook, choice.temperature)
-        };
-        let slope = (shifted(STEP) - shifted(-STEP)) / f64::from(2.0 * STEP);
-        assert!((f64::from(by_features[j]) - slope).abs() < 1e-3, "{j}: {} and {slope}", by_features[j]);
+        let before = values(&objective, &state);
+        assert!(2 * rows <= 256, "{rows} rows of either material have no primitive each");
+        objective.make_codebook(&mut state, 1);
+        let turned = values(&objective, &state);
+        objective.stage = Stage::Choosing;
+        let chosen = values(&objective, &state);
+        for ((a, b), c) in before.iter().zip(turned).zip(chosen) {
+            assert!((a - b).abs() < 1e-3 * a && (a - c).abs() < 1e-3 * a, "{grids:?}: {a}, {b}, {c}");
+        }
     }
-    // A primitive moves with the weight of its choice.
-    let total: f32 = by_codebook.as_flattened().iter().sum();
-    assert!((total - by_feature.iter().sum::<f32>()).abs() < 1e-5);
-    assert_eq!(by_codebook[2], [0.0; K]);
+}
+
+/// While primitives are chosen, features have the derivatives that they would have if they stood for
+/// themselves where their primitives are.
+#[test]
+fn derivatives_pass_the_choice_of_primitives() {
+    let target = material([0.3, 0.4]);
+    let layout = Layout::new(form(Grids::Hd)).unwrap();
+    let rows = layout.places().len();
+    let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
+    let (loss, store, stage) = (SPHERICAL_LOSS, StoreKind::Codebook(3), Stage::Choosing);
+    let mut objective = SphericalObjective { layout: &layout, rows, shape, loss, store, stage };
+    let mut state = State::new(objective.initial(5, 1));
+    objective.make_codebook(&mut state, 1);
+    let pairs = &pairs::draw(Drawing::Lobes, 3, 1, 1)[0];
+    let target = &pairs::evaluate(&target, std::slice::from_ref(pairs))[0];
+    let derivatives = |objective: &SphericalObjective, numbers: &[f32]| {
+        let shared = objective.shared_len();
+        let mut gradient = vec![0.0; numbers.len()];
+        let (by_shared, by_own) = gradient.split_at_mut(shared);
+        let (of_shared, own) = numbers.split_at(shared);
+        objective.block(&mut objective.workspace(), of_shared, own, pairs, target, by_shared, by_own);
+        gradient
+    };
+    let chosen = derivatives(&objective, &state.numbers);
+    let (features, primitives) = (
+        objective.shared_len()..objective.shared_len() + rows * 4,
+        objective.shape.len()..objective.shared_len(),
+    );
+    let mut sums = vec![0.0; primitives.len()];
+    for row in 0..rows {
+        let choice = state.numbers[features.end + row] as usize * 4;
+        for j in 0..4 {
+            state.numbers[features.start + row * 4 + j] = state.numbers[primitives.start + choice + j];
+            sums[choice + j] += chosen[features.start + row * 4 + j];
+        }
+    }
+    objective.stage = Stage::Free;
+    let free = derivatives(&objective, &state.numbers);
+    assert_eq!(chosen[features.clone()], free[features]);
+    for (sum, derivative) in sums.iter().zip(&chosen[primitives]) {
+        assert!((sum - derivative).abs() < 1e-3 * derivative.abs().max(0.01), "{sum}, not {derivative}");
+    }
 }
 
 fn options(grids: Grids, store: StoreKind, steps: u64) -> Options {
