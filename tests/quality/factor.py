@@ -66,7 +66,8 @@ class Light:
 
     def __init__(self, path):
         bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
-        radiance = np.array(bitmap)
+        # Colours outside of sRGB are negative in some maps, around their suns.
+        radiance = np.maximum(np.array(bitmap), 0)
         # Pixels of the map that are smaller than a sun would need far more lights.
         rows, columns = 64, 128
         shape = (rows, radiance.shape[0] // rows, columns, radiance.shape[1] // columns, 3)
