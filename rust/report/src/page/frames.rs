@@ -1,7 +1,7 @@
 //! Work precision in Mitsuba, as plots and as a table at equal time.
 
 use super::plot::{Axes, Curve, Mark, escape, lines};
-use super::{Plot, SAMPLER_COLOURS, cell, file_name, marks, plots_section, truth_mark};
+use super::{Plot, cell, class_of, file_name, marks, plots_section, truth_mark};
 use crate::study::frames::{Curves, Frame, Frames, equal_seconds, frame_at};
 use crate::study::{MEASUREMENT, Study};
 
@@ -11,8 +11,8 @@ pub fn plots(study: &Study) -> Vec<Plot> {
     let mut plots = Vec::new();
     for (scene, variant, curves) in each(frames) {
         let of = [
-            ("error", "RMSE to the measurement / mean", (|frame| frame.rmse) as fn(&Frame) -> f64),
-            ("noise", "RMSE to its own converged frame / mean", |frame| frame.noise),
+            ("error", "RMSE to the measurement", (|frame| frame.rmse) as fn(&Frame) -> f64),
+            ("noise", "noise alone, RMSE", |frame| frame.noise),
         ];
         for (key, name, figure) in of {
             let drawn = drawn(study, curves, figure);
@@ -60,23 +60,25 @@ fn each(frames: &Frames) -> impl Iterator<Item = (&str, &str, &Curves)> {
     })
 }
 
-/// Curves with their marks: a model has its colour, and its table sampler the same, dashed.
+/// Curves with their marks: a model has its colour, and its table sampler the same, dashed; what is no model has
+/// the colours after theirs.
 fn drawn(study: &Study, curves: &Curves, figure: fn(&Frame) -> f64) -> Vec<Curve> {
     let marks = marks(study);
-    let mark = |(i, name): (usize, &String)| {
+    let mut others = marks.len()..;
+    let mut class = |name: &str| {
         let (model, sampler) = name.split_once(", ").unwrap_or((name, ""));
         let of_model = marks.iter().find(|mark| mark.name == model).cloned();
-        let mark = if model == MEASUREMENT { Some(truth_mark()) } else { of_model };
-        let class = match mark {
+        match if model == MEASUREMENT { Some(truth_mark()) } else { of_model } {
             Some(mark) if sampler.is_empty() => mark.class,
             Some(mark) => format!("{} dashed", mark.class),
-            None => format!("sampler s{}", i % SAMPLER_COLOURS),
-        };
-        Mark { class, name: name.clone() }
+            None => class_of(others.next().expect("numbers do not end")),
+        }
     };
     let points = |frames: &Vec<Frame>| frames.iter().map(|frame| [frame.seconds, figure(frame)]).collect();
-    let curve = |(i, (name, frames)): (usize, (&String, &Vec<Frame>))| (mark((i, name)), points(frames));
-    curves.iter().enumerate().map(curve).collect()
+    let curve = |(name, frames): (&String, &Vec<Frame>)| {
+        (Mark { class: class(name), name: name.clone() }, points(frames))
+    };
+    curves.iter().map(curve).collect()
 }
 
 fn equal_time(scene: &str, variant: &str, curves: &Curves) -> String {

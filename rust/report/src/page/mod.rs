@@ -109,11 +109,14 @@ fn file_name(text: &str) -> String {
 
 /// The mark of a candidate by its place in the study.
 fn marks(study: &Study) -> Vec<Mark> {
-    let mark = |(i, candidate): (usize, &Candidate)| Mark {
-        class: format!("c{}", i % COLOURS),
-        name: candidate.name.clone(),
-    };
+    let mark =
+        |(i, candidate): (usize, &Candidate)| Mark { class: class_of(i), name: candidate.name.clone() };
     study.candidates.iter().enumerate().map(mark).collect()
+}
+
+/// The class of the colour of number `i`.
+fn class_of(i: usize) -> String {
+    format!("c{}", i % COLOURS)
 }
 
 fn truth_mark() -> Mark {
