@@ -119,9 +119,6 @@ pub struct Arguments {
 /// Learning rate at which the network-only model ends best on the RGL materials.
 const NEURAL_RATE: f32 = 0.02;
 
-/// Learning rate of the spherical model; on three RGL materials 0.01 and 0.04 ended worse.
-const SPHERICAL_RATE: f32 = 0.02;
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ModelName {
     /// The analytic BRDF alone: Lambert and GGX
@@ -214,12 +211,14 @@ impl Arguments {
                 Model::Spherical(options)
             }
         };
-        let schedule = if self.paper { Schedule::paper } else { Schedule::standard };
+        let schedule = match (self.model, self.paper) {
+            (ModelName::Spherical, _) => Schedule::spherical,
+            (_, true) => Schedule::paper,
+            (_, false) => Schedule::standard,
+        };
         let mut schedule = schedule(self.steps, self.seed);
-        match self.model {
-            ModelName::Neural if !self.paper => schedule.rate = NEURAL_RATE,
-            ModelName::Spherical => schedule.rate = SPHERICAL_RATE,
-            _ => {}
+        if self.model == ModelName::Neural && !self.paper {
+            schedule.rate = NEURAL_RATE;
         }
         let schedule = Schedule { rate: self.rate.unwrap_or(schedule.rate), ..schedule };
         Ok((Options { model, schedule }, note))

@@ -261,6 +261,12 @@ impl Schedule {
         }
     }
 
+    /// glimt's schedule for the spherical model. On three RGL materials rates of 0.01 and 0.04 ended worse.
+    #[must_use]
+    pub fn spherical(steps: u64, seed: u64) -> Self {
+        Schedule { rate: 0.02, drawing: Drawing::NearNormal, ..Self::standard(steps, seed) }
+    }
+
     /// The schedule for k_d, η and α alone, which need far fewer and longer steps.
     pub(crate) fn analytic(drawing: Drawing, seed: u64) -> Self {
         Schedule {
