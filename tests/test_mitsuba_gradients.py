@@ -56,6 +56,46 @@ def gradients(params, key, loss):
     return gradient
 
 
+class Messages(mi.Appender):
+    """What Mitsuba logs as a warning."""
+
+    def __init__(self):
+        super().__init__()
+        self.warnings = []
+
+    def append(self, level, text):
+        if level == mi.LogLevel.Warn:
+            self.warnings.append(text)
+
+    def log_progress(self, progress, name, formatted, eta, ptr=None):
+        pass
+
+
+@pytest.fixture
+def logged():
+    messages, logger = Messages(), mi.logger()
+    logger.add_appender(messages)
+    yield messages.warnings
+    logger.remove_appender(messages)
+
+
+@pytest.mark.parametrize("library", ["spherical", "factor", "hybrid"])
+def test_gradients_that_a_model_cannot_have_are_warned_of_once(libraries, logged, library):
+    bsdf = load(libraries[library])
+    si, context = interaction(hemisphere(4, 1, 0.2)), mi.BSDFContext()
+    light = mi.Vector3f(hemisphere(4, 2, 0.2))
+    bsdf.eval(context, si, light)
+    assert not logged
+    dr.enable_grad(light)
+    bsdf.eval(context, si, light)
+    bsdf.eval_pdf(context, si, light)
+    if library in TRACED:
+        assert not logged
+    else:
+        assert len(logged) == 1
+        assert "no derivatives" in logged[0] and libraries[library].name in logged[0]
+
+
 @pytest.mark.parametrize("library", TRACED)
 def test_eval_has_the_derivatives_of_every_parameter(libraries, library):
     bsdf = load(libraries[library])

@@ -86,8 +86,9 @@ Polarized variants depolarize.
 and by a call from inside the compiled kernel in LLVM variants. Where a direction or a parameter has
 gradients enabled, and in CUDA variants, Dr.Jit traces the whole model instead, which takes seconds to
 compile where there is a network. Samples and their densities carry no derivative with respect to
-the parameters (detached sampling). A measurement has no traced form: it and the samplers ``table`` and of
-RGL files run in scalar and LLVM variants only, and carry no derivative with respect to directions either.
+the parameters (detached sampling). Measurements, tables and ``spherical`` have no traced form: they and the
+samplers ``table`` and of RGL files run in scalar and LLVM variants only, and carry no derivative with respect to
+directions either, of which a warning is logged once.
 
 .. tabs::
     .. code-tab:: xml
@@ -553,8 +554,20 @@ private:
 
     /// … for these directions, too? A call has no derivative; a model without a traced form is detached.
     bool calls_from_kernel(const Vector3f &wi, const Vector3f &wo) const {
-        return calls_from_kernel() && (!m_material->has_traced_form() ||
-                                       !dr::grad_enabled(wi, wo, m_kd, m_eta, m_alpha, m_latent));
+        if (!calls_from_kernel() || !dr::grad_enabled(wi, wo, m_kd, m_eta, m_alpha, m_latent))
+            return calls_from_kernel();
+        if (!m_material->has_traced_form())
+            warn_of_detached_values();
+        return !m_material->has_traced_form();
+    }
+
+    /// Once for every material: a derivative that is silently 0 costs its user an afternoon.
+    void warn_of_detached_values() const {
+        if (!m_warned.exchange(true))
+            Log(Warn, "Gradients are enabled for a direction or a parameter, but \"%s\" of \"%s\" is of a model "
+                      "(%s) that has no derivatives: its reflectance is taken for constant. Models with "
+                      "derivatives are ggx, hybrid, neural and nbrdf.",
+                m_name, m_file, std::string(m_material->description()));
     }
 
     std::string m_file, m_name;
@@ -564,6 +577,7 @@ private:
     std::conditional_t<HasKernelCall, glimt::KernelCall<Float>, Nothing> m_call;
     std::conditional_t<HasKernelCall, glimt::SamplerCall<Float>, Nothing> m_sampler_call;
     bool m_call_works = false, m_has_lobes = true;
+    mutable std::atomic<bool> m_warned { false };
     std::conditional_t<is_spectral_v<Spectrum>, glimt::Primaries<Float>, Nothing> m_primaries;
 
     Color3f m_kd, m_eta;
