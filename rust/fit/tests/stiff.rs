@@ -15,7 +15,7 @@ mod eigen;
 
 use cases::{Case, Run, cases, models, rate, run};
 use condition::gauss_newton;
-use eigen::{condition, eigenvalues, scaled};
+use eigen::{condition, scaled};
 
 /// Materials besides the one in the crowd.
 const CROWD: usize = 6;
@@ -105,18 +105,6 @@ fn scaling_each_number_makes_the_analytic_hessian_tame() {
             scaled < plain && scaled < most,
             "k_d {kd}, eta {eta}, alpha {alpha}: {plain}, scaled {scaled}"
         );
-    }
-}
-
-#[test]
-fn eigenvalues_are_those_of_a_matrix_that_is_known() {
-    // 2 - 2 cos(kπ/(n + 1)): the second difference.
-    let n = 20;
-    let entry = |a: usize, b: usize| [2.0, -1.0, 0.0][a.abs_diff(b).min(2)];
-    let matrix = (0..n).map(|a| (0..n).map(|b| entry(a, b)).collect()).collect();
-    for (k, found) in eigenvalues(&matrix).into_iter().enumerate() {
-        let expected = 2.0 - 2.0 * (std::f64::consts::PI * (k + 1) as f64 / (n + 1) as f64).cos();
-        assert!((found - expected).abs() < 1e-12, "{found} for {expected}");
     }
 }
 

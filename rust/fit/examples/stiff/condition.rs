@@ -16,7 +16,7 @@ const N: usize = 7;
 pub fn gauss_newton(parameters: &Microfacet) -> Matrix {
     let numbers = analytic::from_parameters(parameters, true);
     let parameters = analytic::to_parameters(&numbers);
-    let mut hessian = vec![vec![0.0; N]; N];
+    let mut hessian = Matrix::zeros(N, N);
     for pairs in draw(Drawing::Lobes, 1, 0, 256) {
         for i in 0..BLOCK {
             let (column, lane) = (i / LANES, i % LANES);
@@ -32,7 +32,7 @@ pub fn gauss_newton(parameters: &Microfacet) -> Matrix {
                 analytic::add_gradient(&numbers, &sums.map(f64::from), &mut row);
                 for a in 0..N {
                     for b in 0..N {
-                        hessian[a][b] +=
+                        hessian[(a, b)] +=
                             f64::from(pairs.weight[column][lane]) * f64::from(row[a]) * f64::from(row[b]);
                     }
                 }

@@ -21,7 +21,7 @@ fn hessian(folded: &Folded, state: &State, masking: &Masking) -> Matrix {
     folded.sum(masking, &mut sums);
     let (d, f) = (&state.ndf, &state.fresnel);
     let (ndf, fresnel) = (2, 2 + HALF_BINS);
-    let mut m = vec![vec![0.0; 2 + HALF_BINS + DIFF_BINS]; 2 + HALF_BINS + DIFF_BINS];
+    let mut m = Matrix::zeros(2 + HALF_BINS + DIFF_BINS, 2 + HALF_BINS + DIFF_BINS);
     for h in 0..HALF_BINS {
         for k in 0..DIFF_BINS {
             let (g, gg) = (sums.g[h * STRIDE + k], sums.gg[h * STRIDE + k]);
@@ -29,24 +29,25 @@ fn hessian(folded: &Folded, state: &State, masking: &Masking) -> Matrix {
             let by =
                 [(1, d[h] * f[k]), (ndf + h, state.specular * f[k]), (fresnel + k, state.specular * d[h])];
             for (a, x) in by {
-                m[0][a] += x * g;
-                m[a][0] += x * g;
+                m[(0, a)] += x * g;
+                m[(a, 0)] += x * g;
                 for (b, y) in by {
-                    m[a][b] += x * y * gg;
+                    m[(a, b)] += x * y * gg;
                 }
             }
         }
     }
-    m[0][0] = folded.fixed.weight;
+    m[(0, 0)] = folded.fixed.weight;
     let largest = |curve: &[f64]| curve.iter().position(|&x| x == 1.0).expect("factors are normalised");
     let fixed = [ndf + largest(d), fresnel + largest(&f[..DIFF_BINS])];
-    let free: Vec<usize> = (0..m.len()).filter(|a| !fixed.contains(a) && m[*a][*a] > 0.0).collect();
-    free.iter().map(|&a| free.iter().map(|&b| m[a][b]).collect()).collect()
+    let free: Vec<usize> = (0..m.nrows()).filter(|&a| !fixed.contains(&a) && m[(a, a)] > 0.0).collect();
+    m.select_rows(&free).select_columns(&free)
 }
 
 /// The rows and columns of `matrix` from `first` on.
 fn corner(matrix: &Matrix, first: usize) -> Matrix {
-    matrix[first..].iter().map(|row| row[first..].to_vec()).collect()
+    let rest = matrix.nrows() - first;
+    matrix.view((first, first), (rest, rest)).into_owned()
 }
 
 #[test]
@@ -76,7 +77,7 @@ fn condition_of_factor_tables_is_bounded_once_each_number_is_scaled() {
             let (plain, whole, tables) = (condition(&hessian), condition(&all), condition(&corner(&all, 2)));
             println!(
                 "{name:24} {variant:>13} {:>8} {plain:>9.1e} {whole:>9.1e} {tables:>12.1e}",
-                hessian.len()
+                hessian.nrows()
             );
             assert!(whole <= plain && whole < 1e9, "{name}, {variant}: {plain:e}, scaled {whole:e}");
         }
