@@ -276,6 +276,44 @@ impl Network {
         }
     }
 
+    /// What a part of the first layer's inputs, from `first` on, adds to its sums, as the kernels compute them.
+    #[must_use]
+    pub(crate) fn first_products(&self, first: usize, x: &[f32]) -> Vec<f32> {
+        self.packed[0].products(first, x)
+    }
+
+    /// [`Network::forward_tile`] from the first layer's values on, of which there is more than one.
+    #[inline(always)]
+    pub(crate) fn forward_tile_from<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        first: &[[f32; L]],
+        y: &mut Rows<L>,
+    ) {
+        let mut hidden = Rows::default();
+        let last = self.packed.len() - 1;
+        let [mut from, mut to] = if last.is_multiple_of(2) { [y, &mut hidden] } else { [&mut hidden, y] };
+        for (i, layer) in self.packed.iter().enumerate().skip(1) {
+            let activation = (i < last).then_some(self.activation);
+            let x = if i == 1 { first } else { &from[..] };
+            isa.run(LayerOfLanes { layer, bias: layer.bias.as_flattened(), x, y: to, activation });
+            std::mem::swap(&mut from, &mut to);
+        }
+    }
+
+    /// [`Network::forward_one`] from the first layer's values on, of which there is more than one.
+    #[inline(always)]
+    pub(crate) fn forward_one_from<I: Isa>(&self, isa: I, first: &[f32], y: &mut One) {
+        let mut hidden = One::default();
+        let last = self.packed.len() - 1;
+        let [mut from, mut to] = if last.is_multiple_of(2) { [y, &mut hidden] } else { [&mut hidden, y] };
+        for (i, layer) in self.packed.iter().enumerate().skip(1) {
+            let x = if i == 1 { first } else { &from[..] };
+            layer.forward_one(isa, &layer.bias, x, to, (i < last).then_some(self.activation));
+            std::mem::swap(&mut from, &mut to);
+        }
+    }
+
     /// Evaluates one sample: `x[feature]` to `y[output]`, otherwise as [`Network::forward_tile`].
     #[inline(always)]
     pub fn forward_one<I: Isa>(&self, isa: I, first_bias: &[Lane], x: &[f32], y: &mut One) {

@@ -40,7 +40,7 @@ impl Activation {
 
     /// The activation in the kernels' units.
     #[inline(always)]
-    fn activate<I: Lanes<L>, const L: usize>(self, isa: I, v: I::Vector) -> I::Vector {
+    pub(crate) fn activate<I: Lanes<L>, const L: usize>(self, isa: I, v: I::Vector) -> I::Vector {
         let v = isa.positive(v);
         match self {
             Activation::HardGelu => {
@@ -81,6 +81,18 @@ impl PackedLayer {
             }
         }
         PackedLayer { inputs, rows, stride, weights, bias }
+    }
+
+    /// W x of the inputs from `first` on, in the units of the sums.
+    pub(super) fn products(&self, first: usize, x: &[f32]) -> Vec<f32> {
+        let columns = self.weights.chunks_exact(self.stride).skip(first).zip(x);
+        let mut sums = vec![0.0; self.rows];
+        for (column, &x) in columns {
+            for (sum, &w) in sums.iter_mut().zip(column) {
+                *sum += f64::from(w) * f64::from(x);
+            }
+        }
+        sums.into_iter().map(|sum| sum as f32).collect()
     }
 
     /// y = activation(W x + bias) for one sample.

@@ -1,44 +1,30 @@
-//! From pairs of directions to what the network sees of them.
+//! From the places of pairs in the tables to what the network sees of them.
 //!
 //! Pixels and weights are computed with pairs in the lanes. Features are read one pair after the other, a row
 //! at a time with the features in the lanes, and change places with the pairs when they are blended: a gather
 //! would read every feature of every pair by itself.
 
-use glam::Vec3;
-
 use super::Spherical;
 use super::tables::{MAX_TABLES, Taps};
-use crate::kernel::splat3;
 use crate::network::Rows;
-use crate::simd::{Isa, Lanes, Task, Vector};
+use crate::simd::{Isa, Lanes, Task};
 
 /// Most features that a network sees.
 pub(super) const MAX_INPUTS: usize = MAX_TABLES * 16;
 
 impl Spherical {
-    /// ψ of pairs of directions, `x[feature][lane]`.
+    /// ψ of the pair in the first lane, `x[feature]`.
     #[inline(always)]
-    pub(super) fn encode<I: Lanes<L>, const L: usize>(
+    pub(super) fn features_of_one<I: Isa>(
         &self,
         isa: I,
-        light: [Vector<I, L>; 3],
-        view: [Vector<I, L>; 3],
-        x: &mut Rows<L>,
+        taps: &[Taps<4>; MAX_TABLES],
+        x: &mut [f32; MAX_INPUTS],
     ) {
-        let mut taps = [Taps::EMPTY; MAX_TABLES];
-        self.layout.taps(isa, light, view, &mut taps);
-        isa.run(Blend { material: self, taps: &taps, x });
-    }
-
-    /// ψ of one pair, `x[feature]`.
-    #[inline(always)]
-    pub(super) fn encode_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3, x: &mut [f32; MAX_INPUTS]) {
-        let mut taps = [Taps::EMPTY; MAX_TABLES];
-        self.layout.taps::<I, 4>(isa, splat3(isa, light), splat3(isa, view), &mut taps);
         match self.layout.form().features {
-            4 => self.blend_one::<I, 4>(isa, &taps, x),
-            8 => self.blend_one::<I, 8>(isa, &taps, x),
-            _ => self.blend_one::<I, 16>(isa, &taps, x),
+            4 => self.blend_one::<I, 4>(isa, taps, x),
+            8 => self.blend_one::<I, 8>(isa, taps, x),
+            _ => self.blend_one::<I, 16>(isa, taps, x),
         }
     }
 
@@ -80,31 +66,31 @@ impl Spherical {
     }
 }
 
-/// Features of pairs side by side.
-struct Blend<'a, const L: usize> {
-    material: &'a Spherical,
-    taps: &'a [Taps<L>; MAX_TABLES],
-    x: &'a mut Rows<L>,
+/// ψ of pairs side by side, `x[feature][lane]`.
+pub(super) struct Features<'a, const L: usize> {
+    pub(super) material: &'a Spherical,
+    pub(super) taps: &'a [Taps<L>; MAX_TABLES],
+    pub(super) x: &'a mut Rows<L>,
 }
 
-impl<const L: usize> Task<L> for Blend<'_, L> {
+impl<const L: usize> Task<L> for Features<'_, L> {
     #[inline(always)]
     fn run<I: Lanes<L>>(self, isa: I) {
         match self.material.layout.form().features {
-            4 => self.features::<I, 4>(isa),
-            8 => self.features::<I, 8>(isa),
-            _ => self.features::<I, 16>(isa),
+            4 => self.blend::<I, 4>(isa),
+            8 => self.blend::<I, 8>(isa),
+            _ => self.blend::<I, 16>(isa),
         }
     }
 }
 
-impl<const L: usize> Blend<'_, L> {
+impl<const L: usize> Features<'_, L> {
     #[inline(always)]
-    fn features<I: Lanes<L>, const K: usize>(self, isa: I)
+    fn blend<I: Lanes<L>, const K: usize>(self, isa: I)
     where
         I::Isa: Lanes<K>,
     {
-        let Blend { material, taps, x } = self;
+        let Features { material, taps, x } = self;
         let mut rows = [[0.0; K]; L];
         let grids = material.layout.form().grids;
         for (table, taps) in taps.iter().enumerate().take(grids.tables()) {

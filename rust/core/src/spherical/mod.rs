@@ -14,6 +14,7 @@
 
 mod look_up;
 pub mod pixelation;
+mod products;
 pub mod store;
 pub mod tables;
 
@@ -21,7 +22,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::kernel::Kernel;
+use crate::kernel::{Kernel, splat3};
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
@@ -29,8 +30,9 @@ use crate::network::{Network, One, Rows};
 use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 use look_up::MAX_INPUTS;
+use products::{FirstLayer, Products};
 use store::Store;
-use tables::{Grids, Layout};
+use tables::{Grids, Layout, MAX_TABLES, Taps};
 
 /// Where f turns from linear to exponential in the network's output.
 pub const OUTPUT_SCALE: f32 = 0.003;
@@ -98,6 +100,8 @@ pub struct Spherical {
     values: Vec<f32>,
     /// … and the entry of every point.
     entries: Vec<u32>,
+    /// The first layer of each, where that is worth its memory.
+    products: Option<Products>,
     first_bias: Vec<Lane>,
     sampler: Sampler,
 }
@@ -134,8 +138,9 @@ impl Spherical {
             return Err(format!("an index is {entry}, but the codebook has {found} primitives"));
         }
         let kept = |row: u32| features.links.as_ref().map_or(row, |links| links[row as usize]);
-        let entries = layout.rows().iter().map(|&row| of_row[kept(row) as usize]).collect();
+        let entries: Vec<u32> = layout.rows().iter().map(|&row| of_row[kept(row) as usize]).collect();
         let first_bias = network.fold(&[]);
+        let products = Products::new(&layout, &network, &values, &entries);
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
         let mut material = Spherical {
             layout,
@@ -144,6 +149,7 @@ impl Spherical {
             bound,
             values,
             entries,
+            products,
             first_bias,
             sampler: lobes.into(),
         };
@@ -205,18 +211,32 @@ impl Kernel for Spherical {
         light: [Vector<I, L>; 3],
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
+        let mut taps = [Taps::EMPTY; MAX_TABLES];
+        self.layout.taps(isa, light, view, &mut taps);
         let (mut x, mut y) = (Rows::default(), Rows::default());
-        self.encode(isa, light, view, &mut x);
-        self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
+        if let Some(products) = &self.products {
+            isa.run(FirstLayer { products, material: self, taps: &taps, y: &mut x });
+            self.network.forward_tile_from(isa, &x, &mut y);
+        } else {
+            isa.run(look_up::Features { material: self, taps: &taps, x: &mut x });
+            self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
+        }
         let y = Vector::load3(isa, &[y[0], y[1], y[2]]);
         [from_output(y[0], self.bound), from_output(y[1], self.bound), from_output(y[2], self.bound)]
     }
 
     #[inline(always)]
     fn eval_one<I: Isa>(&self, isa: I, light: Vec3, view: Vec3) -> Vec3 {
+        let mut taps = [Taps::EMPTY; MAX_TABLES];
+        self.layout.taps::<I, 4>(isa, splat3(isa, light), splat3(isa, view), &mut taps);
         let (mut x, mut y) = ([0.0; MAX_INPUTS], One::default());
-        self.encode_one(isa, light, view, &mut x);
-        self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        if let Some(products) = &self.products {
+            products.first_layer_of_one(isa, self, &taps, &mut x);
+            self.network.forward_one_from(isa, &x, &mut y);
+        } else {
+            self.features_of_one(isa, &taps, &mut x);
+            self.network.forward_one(isa, &self.first_bias, &x, &mut y);
+        }
         let f = from_output(Vector::<I, 4>::load(isa, y.four_from::<0>()), self.bound).to_array();
         Vec3::new(f[0], f[1], f[2])
     }

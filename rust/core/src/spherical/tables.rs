@@ -232,6 +232,11 @@ impl Layout {
         table.min(axes) * usize::from(self.form.nodes) + table.saturating_sub(axes) * self.hemisphere.points()
     }
 
+    /// The table that a point belongs to.
+    pub(super) fn table(&self, point: usize) -> usize {
+        self.places[self.rows[point] as usize].0
+    }
+
     /// Taps of a table: two for a list, four for a hemisphere.
     #[inline(always)]
     #[must_use]

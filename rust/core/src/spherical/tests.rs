@@ -78,7 +78,15 @@ fn pairs(n: usize) -> Vec<(DVec3, DVec3)> {
     pairs
 }
 
+/// With the first layer in the tables and, if it is, without.
 fn agrees_with_the_reference(material: &Spherical) {
+    kernels_agree_with_the_reference(material);
+    if material.products.is_some() {
+        kernels_agree_with_the_reference(&Spherical { products: None, ..material.clone() });
+    }
+}
+
+fn kernels_agree_with_the_reference(material: &Spherical) {
     let pairs = pairs(2003);
     let (light, view): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().map(|(l, v)| (l.as_vec3(), v.as_vec3())).unzip();
     let mut batch = vec![Vec3::ZERO; pairs.len()];
@@ -217,6 +225,26 @@ fn every_kind_of_store_is_evaluated_as_it_is_decoded() {
     for kind in [StoreKind::F16, StoreKind::I8, StoreKind::I4, StoreKind::Codebook(5)] {
         agrees_with_the_reference(&material(form(Grids::Lv), kind));
         agrees_with_the_reference(&material(form(Grids::Iso), kind));
+    }
+}
+
+#[test]
+fn the_first_layer_is_in_the_tables_of_every_width_that_kernels_have_where_it_is_small() {
+    let product = |width: usize, nside: u16| {
+        let form = Form { nside: nside.try_into().unwrap(), ..form(Grids::Iso) };
+        let network = patterned(&[form.inputs(), width, 32, 3], form.inputs(), Activation::HardGelu);
+        let layout = Arc::new(Layout::new(form).unwrap());
+        let features = Features { store: Store::F32(waves(&layout)), links: None };
+        Spherical::new(layout, Arc::new(network), features, 6.0).unwrap()
+    };
+    for width in [16, 32, 64] {
+        let material = product(width, 8);
+        assert!(material.products.is_some());
+        agrees_with_the_reference(&material);
+    }
+    for material in [product(24, 8), product(64, 64)] {
+        assert!(material.products.is_none());
+        agrees_with_the_reference(&material);
     }
 }
 
