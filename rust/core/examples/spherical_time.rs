@@ -6,7 +6,8 @@
 //! measures what has TEXT in its name, and without it everything.
 //!
 //! "Layers" is the network of a batch by itself, and "look-up" what a batch takes besides: directions to
-//! features, and f from the network's output. The limit, the rounds and `single` are those of `kernel_time`.
+//! features, and f from the network's output; it is small or negative where the first layer is in the tables. The
+//! limit, the rounds and `single` are those of `kernel_time`.
 
 use std::hint::black_box;
 use std::sync::Arc;

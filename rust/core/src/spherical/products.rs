@@ -29,7 +29,7 @@ pub(super) struct Products {
 
 impl Products {
     /// The products of features, [entry][k], where every point has the entry of `entries`: if the first layer
-    /// is of a width that kernels are compiled for and not the last, and if they are small.
+    /// is of a width that kernels are compiled for and not the last, and if they are finite and small.
     pub(super) fn new(layout: &Layout, network: &Network, values: &[f32], entries: &[u32]) -> Option<Self> {
         let k = usize::from(layout.form().features);
         let width = network.layers()[0].outputs();
@@ -53,7 +53,9 @@ impl Products {
         let product = |(table, entry): (usize, u32)| {
             network.first_products(table * k, &values[entry as usize * k..][..k])
         };
-        Some(Products { width, values: rows.into_iter().flat_map(product).collect(), entries })
+        let values: Vec<f32> = rows.into_iter().flat_map(product).collect();
+        // Infinity times a weight of 0 would not be a number.
+        values.iter().all(|x| x.is_finite()).then_some(Products { width, values, entries })
     }
 
     /// The first layer of the pair in the first lane, `y[neuron]`.
