@@ -216,6 +216,9 @@ pub fn scatter(points: &[Point], names: [&str; 2], noise: Option<f64>) -> String
     labels.sort_by(|a, b| a.0[1].total_cmp(&b.0[1]));
     // Start, end and line of every text; names stay clear of each other and of the noise's.
     const NOISE_WIDTH: f64 = 150.0;
+    const LINE: f64 = 12.0;
+    // Less than a line by what rounding takes of it: a name that has moved below another one is clear of it.
+    const TOUCHING: f64 = LINE - 0.1;
     let mut taken: Vec<[f64; 3]> =
         noise.iter().map(|noise| [across[1] - NOISE_WIDTH, across[1], y.at(*noise) - 4.0]).collect();
     for (place, Point { mark, is_partial, .. }) in labels {
@@ -232,9 +235,9 @@ pub fn scatter(points: &[Point], names: [&str; 2], noise: Option<f64>) -> String
         // Above the point: at its height the front may run through it.
         let mut line = py - 7.0;
         while let Some(other) =
-            taken.iter().find(|[s, e, l]| (l - line).abs() < 12.0 && *s < start + width && start < *e)
+            taken.iter().find(|[s, e, l]| (l - line).abs() < TOUCHING && *s < start + width && start < *e)
         {
-            line = other[2] + 12.0;
+            line = other[2] + LINE;
         }
         taken.push([start, start + width, line]);
         let (anchor, text_x) = if is_left { ("end", px + 4.0) } else { ("start", px - 4.0) };
@@ -402,6 +405,25 @@ mod tests {
     fn numbers_are_short() {
         let shown = [0.0, 0.05, 1.0, 12.5, 123_456.0, 2.5e6, 3e-4].map(short);
         assert_eq!(shown, ["0", "0.05", "1", "12.5", "123k", "2.5M", "3e−4"]);
+    }
+
+    #[test]
+    fn names_of_points_that_lie_together_end_up_a_line_apart() {
+        // At many heights: with some of them a line below another is less than a line away, by rounding.
+        for height in 1..100 {
+            let point = |(i, y)| Point { mark: mark(i), at: [10.0, y], is_partial: false };
+            // The first and the last span the scale.
+            let places = [1000.0, 0.01].into_iter().chain([0.03 * f64::from(height); 5]);
+            let points: Vec<Point> = places.enumerate().map(point).collect();
+            let svg = scatter(&points, ["ns", "error"], None);
+            let mut lines: Vec<f64> = svg
+                .split("<text class='label' ")
+                .skip(1)
+                .map(|text| text.split("y='").nth(1).unwrap().split('\'').next().unwrap().parse().unwrap())
+                .collect();
+            lines.sort_by(f64::total_cmp);
+            assert!(lines.windows(2).all(|pair| pair[1] - pair[0] > 11.7), "{lines:?}");
+        }
     }
 
     #[test]
