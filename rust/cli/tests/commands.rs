@@ -211,7 +211,11 @@ fn interrupted(folder: &Folder) -> (u64, String) {
         let output = child.wait_with_output().unwrap();
         let message = String::from_utf8(output.stderr).unwrap();
         match output.status.code() {
-            Some(0) => steps *= 2,
+            // It was done already.
+            Some(0) => {
+                std::fs::remove_file(folder.path("parts.safetensors")).unwrap();
+                steps *= 2;
+            }
             Some(1) if !message.contains("before there was anything to save") => return (steps, message),
             _ => wait *= 2,
         }
