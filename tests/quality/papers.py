@@ -256,8 +256,12 @@ def grids(shop, _):
     libraries = {label: shop.spherical(*CODEBOOK, **{"nside": 16, **form}) for label, form in forms.items()}
     for bits in ("5", "7"):
         libraries[f"{bits} bits"] = shop.spherical("--codebook", bits, nside=16)
-    for other in ("lat-long", "fibonacci"):
-        libraries[other] = shop.spherical(*CODEBOOK, "--pixelation", other, nside=16)
+    # A lattice has no pixels to be bilinear in: all three by the paper's training weights.
+    weights = ("--interpolation", "inverse-distance")
+    for points in ("healpix", "lat-long", "fibonacci"):
+        libraries[f"{points}, inverse distances"] = shop.spherical(
+            *CODEBOOK, "--pixelation", points, *weights, nside=16
+        )
     compared(shop, "grids", libraries)
 
 
