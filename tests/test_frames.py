@@ -42,3 +42,8 @@ def test_noise_falls_with_samples_and_another_bsdf_stays_apart(scene):
 def test_without_a_request_it_says_how_to_ask():
     done = subprocess.run([sys.executable, "-m", "glimt.frames"], capture_output=True, text=True)
     assert done.returncode == 2 and "REQUEST.json" in done.stderr
+
+
+def test_a_scene_that_does_not_exist_is_named():
+    done = frames({"bsdfs": {}, "reference": "", "scenes": ["castle"]})
+    assert done.returncode == 2 and done.stderr == "there is no scene 'castle'; expected sphere or room\n"

@@ -213,10 +213,14 @@ def main():
         print(__doc__, file=sys.stderr)
         return 2
     text = sys.stdin.read() if sys.argv[1] == "-" else Path(sys.argv[1]).read_text()
+    request = json.loads(text)
+    if unknown := [scene for scene in request.get("scenes", []) if scene not in SCENES]:
+        print(f"there is no scene {unknown[0]!r}; expected {' or '.join(SCENES)}", file=sys.stderr)
+        return 2
     # Mitsuba writes its warnings to the standard output, which is for the answer alone.
     with os.fdopen(os.dup(1), "w") as answer:
         os.dup2(2, 1)
-        json.dump(run(json.loads(text)), answer)
+        json.dump(run(request), answer)
         answer.write("\n")
     return 0
 
