@@ -167,6 +167,13 @@ public:
     /// The only material of a library that holds one.
     Material material() const { return find(nullptr); }
 
+    /// A material between two, with a share \c weight in [0, 1] of the second.
+    Material mix(const std::string &a, const std::string &b, float weight) const {
+        glimt_material *material = nullptr;
+        detail::check(glimt_library_mix(library_.get(), a.c_str(), b.c_str(), weight, &material));
+        return Material(material);
+    }
+
 private:
     Material find(const char *name) const {
         glimt_material *material = nullptr;

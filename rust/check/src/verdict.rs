@@ -45,6 +45,8 @@ pub enum Test {
     Isotropy,
     /// Directional albedo.
     Energy,
+    /// Directional albedo of an edited material.
+    EditEnergy,
 }
 
 impl Test {
@@ -70,6 +72,7 @@ impl Test {
             Test::Reciprocity => "reciprocity",
             Test::Isotropy => "isotropy",
             Test::Energy => "energy",
+            Test::EditEnergy => "edit-energy",
         }
     }
 
@@ -97,6 +100,9 @@ impl Test {
             Test::Reciprocity => "Is f(light, view) = f(view, light)?",
             Test::Isotropy => "Is f the same when both directions turn about the normal?",
             Test::Energy => "Does no more energy leave than arrives?",
+            Test::EditEnergy => {
+                "Does no more leave than before the edit, than from the edited analytic part, and than arrives?"
+            }
         }
     }
 }

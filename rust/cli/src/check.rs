@@ -8,6 +8,7 @@ use glimt_core::Material;
 use glimt_core::sampler::SamplerChoice;
 use glimt_files::Source;
 
+use crate::edit::{self, Edit};
 use crate::{inputs, output};
 
 /// Test materials: sampling, weights, energy, symmetry, the horizon
@@ -23,6 +24,10 @@ pub struct Arguments {
     /// Name of one material; all if not given
     #[arg(long, value_name = "NAME")]
     material: Option<String>,
+    /// Test the materials with this change of their analytic part: kd=R,G,B, eta=N or alpha=A; may be given several
+    /// times. One more test then asks whether the edit keeps the energy
+    #[arg(long = "edit", value_name = "NAME=VALUE")]
+    edits: Vec<Edit>,
     /// lobes, table, table:paper or table:VIEWSxRINGSxSECTORS [default: the materials' own]
     #[arg(long, value_name = "SAMPLER")]
     sampler: Option<SamplerChoice>,
@@ -50,7 +55,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     for source in &inputs::open(&arguments.files)? {
         materials.extend(materials_of(source, arguments)?);
     }
-    let subjects: Vec<BrdfSubject> = materials
+    let edited = materials
+        .iter()
+        .map(|(name, material)| Ok((name.clone(), edit::apply(&arguments.edits, name, material)?)))
+        .collect::<Result<Vec<_>>>()?;
+    let subjects: Vec<BrdfSubject> = edited
         .iter()
         .map(|(name, material)| BrdfSubject {
             name: name.clone(),
@@ -59,10 +68,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         })
         .collect();
     let bar = output::progress_bar(subjects.len(), "check");
-    let check = |subject| glimt_check::check(subject, &options);
-    let checked = bar.wrap_iter(subjects.iter()).map(|subject| check(subject)).collect::<Result<_, _>>();
-    // A material of a file always answers; the error is for subjects that live elsewhere.
-    let report = Report::new(checked.map_err(anyhow::Error::from_boxed)?);
+    let mut checked = Vec::new();
+    for (i, subject) in bar.wrap_iter(subjects.iter()).enumerate() {
+        // A material of a file always answers; the error is for subjects that live elsewhere.
+        let mut of_subject = glimt_check::check(subject, &options).map_err(anyhow::Error::from_boxed)?;
+        if !arguments.edits.is_empty() {
+            of_subject.findings.extend(glimt_check::edits::energy(&materials[i].1, &edited[i].1));
+        }
+        checked.push(of_subject);
+    }
+    let report = Report::new(checked);
     output::print(&if arguments.json { report.json() + "\n" } else { report.text() })?;
     if let Some(page) = &arguments.html {
         write_page(page, &report)?;

@@ -7,6 +7,7 @@ mod bench;
 mod check;
 mod compare;
 mod convert;
+mod edit;
 mod eval;
 mod fit;
 mod fitting;

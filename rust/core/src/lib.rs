@@ -2,6 +2,7 @@
 
 pub mod analytic;
 pub mod brdf;
+pub mod edit;
 pub mod error;
 pub mod factor;
 pub mod features;

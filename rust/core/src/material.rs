@@ -167,6 +167,29 @@ impl Material {
         let edited = with_model!(self, model => model.with_latent(latent).map(Material::from))?;
         Ok(self.sampled_alike(edited))
     }
+
+    /// See [`Model::mix`]. At the ends it is one of the two.
+    ///
+    /// # Errors
+    /// See [`Model::mix`]; also for materials of two models and a share outside [0, 1].
+    pub fn mix(&self, other: &Material, t: f32) -> Result<Material, String> {
+        fn mix<'a, M: Model + 'a>(a: &M, b: &'a Material, t: f32) -> Result<Material, String>
+        where
+            &'a M: TryFrom<&'a Material>,
+            Material: From<M>,
+        {
+            let same = b.try_into().map_err(|_| "are of two models, and only one model's mix".to_owned());
+            a.mix(same?, t).map(Material::from)
+        }
+        match t {
+            0.0 => Ok(self.clone()),
+            1.0 => Ok(other.clone()),
+            _ if t > 0.0 && t < 1.0 => {
+                Ok(self.sampled_alike(with_model!(self, model => mix(model, other, t))?))
+            }
+            _ => Err(format!("are mixed with a weight of {t}, expected one in [0, 1]")),
+        }
+    }
 }
 
 impl Brdf for Material {
