@@ -27,17 +27,9 @@ use safetensors::tensor::{SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::analytic::Analytic;
 use crate::error::Error;
-use crate::factor::Factor;
-use crate::ggx::Ggx;
-use crate::hybrid::Hybrid;
-use crate::material::{Material, with_model};
-use crate::model::Model;
-use crate::nbrdf::Nbrdf;
+use crate::material::{Kind, Material, with_kind, with_model};
 use crate::network::Network;
-use crate::neural::Neural;
-use crate::spherical::Spherical;
 
 use codec::Codec;
 use container::{Tensor, Tensors};
@@ -184,7 +176,7 @@ impl Library {
     /// [`Error::Write`], for measured tables too: a library cannot hold them.
     pub fn save(&self) -> Result<(), Error> {
         let error = |source| Error::Write { path: self.path.clone(), source };
-        if self.tensors().is_empty() {
+        if !with_kind!(self.kind(), Stored => Stored::STORED) {
             let reason = "a library cannot hold a measurement; fit a model to it with glimt fit";
             return Err(error(std::io::Error::other(reason)));
         }
@@ -203,9 +195,9 @@ impl Library {
         &self.entries
     }
 
-    /// The model's name.
+    /// The model.
     #[must_use]
-    pub fn kind(&self) -> &'static str {
+    pub fn kind(&self) -> Kind {
         self.entries[0].material.kind()
     }
 
@@ -261,14 +253,14 @@ impl Library {
     pub fn shares_network(&self) -> bool {
         let address = |entry: &Entry| entry.material.network().map(std::ptr::from_ref);
         let first = address(&self.entries[0]);
-        self.kind() != "nbrdf" && first.is_some() && self.entries.iter().all(|entry| address(entry) == first)
+        self.kind() != Kind::Nbrdf && first.is_some() && self.entries.iter().all(|entry| address(entry) == first)
     }
 
     /// The file's bytes.
     fn encode(&self) -> Vec<u8> {
         let header = Header {
             format: FORMAT_VERSION,
-            kind: self.kind().to_owned(),
+            kind: self.kind().name().to_owned(),
             color_space: COLOR_SPACE.to_owned(),
             form: form(&self.entries[0].material),
             materials: self
@@ -311,7 +303,7 @@ fn form(material: &Material) -> Option<Value> {
 }
 
 /// Model and sizes: what the materials of one library have in common.
-fn architecture(material: &Material) -> (&'static str, Option<Value>, Vec<(usize, usize)>) {
+fn architecture(material: &Material) -> (Kind, Option<Value>, Vec<(usize, usize)>) {
     let layers = material.network().map_or(&[][..], Network::layers);
     let sizes = layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect();
     (material.kind(), form(material), sizes)
@@ -364,32 +356,35 @@ fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, St
     {
         Ok(M::decode(file, header.form.as_ref())?.into_iter().map(Material::from).collect())
     }
-    match header.kind.as_str() {
-        Ggx::KIND => decode::<Ggx>(header, file),
-        Hybrid::KIND => decode::<Hybrid>(header, file),
-        Neural::KIND => decode::<Neural>(header, file),
-        Nbrdf::KIND => decode::<Nbrdf>(header, file),
-        Factor::KIND => decode::<Factor>(header, file),
-        Analytic::KIND => decode::<Analytic>(header, file),
-        Spherical::KIND => decode::<Spherical>(header, file),
-        other => Err(format!(
-            "its model is \"{other}\", expected ggx, hybrid, neural, nbrdf, factor, analytic or spherical"
-        )),
-    }
+    let kind: Kind = header
+        .kind
+        .parse()
+        .map_err(|_| format!("its model is \"{}\", expected {}", header.kind, names_of_stored_kinds()))?;
+    with_kind!(kind, Decoded => decode::<Decoded>(header, file))
+}
+
+/// The models that a library can hold, for messages.
+fn names_of_stored_kinds() -> String {
+    let is_stored = |&kind: &Kind| with_kind!(kind, Stored => Stored::STORED);
+    let names: Vec<&str> = Kind::ALL.into_iter().filter(is_stored).map(Kind::name).collect();
+    let (last, others) = names.split_last().expect("there are models");
+    format!("{} or {last}", others.join(", "))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analytic::tests::specimens;
+    use crate::analytic::{Analytic, tests::specimens};
     use crate::brdf::Brdf;
-    use crate::factor::{Factors, Interpolation, tests::patterned_factors};
+    use crate::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
     use crate::features::Inputs;
-    use crate::hybrid::Form;
+    use crate::ggx::Ggx;
+    use crate::hybrid::{Form, Hybrid};
     use crate::microfacet::Microfacet;
+    use crate::nbrdf::Nbrdf;
     use crate::network::tests::{patterned, patterned_from};
     use crate::network::{Activation, Layer};
-    use crate::neural::{self, Shared};
+    use crate::neural::{self, Neural, Shared};
     use glam::Vec3;
     use proptest::prelude::*;
     use std::sync::{Arc, LazyLock};
