@@ -577,8 +577,9 @@ private:
         if (!m_warned.exchange(true))
             Log(Warn, "Gradients are enabled for a direction or a parameter, but \"%s\" of \"%s\" is of a model "
                       "(%s) that has no derivatives: its reflectance is taken for constant. Models with "
-                      "derivatives are ggx, hybrid, neural and nbrdf.",
-                m_name, m_file, std::string(m_material->description()));
+                      "derivatives are %s.",
+                m_name, m_file, std::string(m_material->description()),
+                std::string(glimt::core::traced_models()));
     }
 
     std::string m_file, m_name;

@@ -51,7 +51,7 @@ public:
             case core::Kind::Hybrid: f = hybrid(l, v, microfacet, latent, room, active); break;
             case core::Kind::Neural: f = neural(l, v, latent, room, active); break;
             case core::Kind::Nbrdf: f = nbrdf(l, v); break;
-            default: break; // has no traced form, see Material::has_traced_form()
+            case core::Kind::Untraced: break; // see Material::has_traced_form()
         }
         return f & active;
     }

@@ -4,7 +4,7 @@
 //!     cargo run --release -p glimt-check --example catalogue
 
 use glimt_check::accuracy::Worst;
-use glimt_check::extremes::{KINDS, families};
+use glimt_check::extremes::{Part, families, parts};
 use glimt_check::stability::run;
 use rayon::prelude::*;
 
@@ -14,8 +14,8 @@ fn main() {
     let mut details = Vec::new();
     println!("| model | family | values | largest error, ULP | relative | condition, ULP | worst blame |");
     println!("|---|---|---|---|---|---|---|");
-    for kind in KINDS {
-        let outcomes: Vec<_> = (kind.cases)().into_par_iter().map(|case| run(&case, &families)).collect();
+    for Part { kind, cases, .. } in parts() {
+        let outcomes: Vec<_> = cases().into_par_iter().map(|case| run(&case, &families)).collect();
         let mut worst = vec![Worst::default(); families.len()];
         for outcome in outcomes {
             firsts.extend(outcome.violations.first().cloned());
@@ -26,7 +26,7 @@ fn main() {
             let Worst { count, error, blamed } = &worst;
             println!(
                 "| {} | {} | {count} | {:.2e} | {:.1e} | {:.2e} | {:.2} |",
-                kind.name,
+                kind,
                 family.name,
                 error.ulp,
                 error.relative,
@@ -35,7 +35,7 @@ fn main() {
             );
             details.push(format!(
                 "{}, {}\n  largest error: {error}\n  worst blame: {blamed}",
-                kind.name, family.name
+                kind, family.name
             ));
         }
     }

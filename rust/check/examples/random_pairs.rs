@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use glimt_check::extremes::KINDS;
+use glimt_check::extremes::parts;
 use glimt_check::random_pairs::{BLOCK, violations};
 use rayon::prelude::*;
 
@@ -14,7 +14,7 @@ const PROGRESS: u64 = 10_000_000;
 
 fn main() {
     let count: u64 = std::env::args().nth(1).map_or(1_000_000_000, |n| n.parse().expect("a number of pairs"));
-    let cases: Vec<_> = KINDS.iter().flat_map(|kind| (kind.cases)()).collect();
+    let cases: Vec<_> = parts().iter().flat_map(|part| (part.cases)()).collect();
     let (done, found, start) = (AtomicU64::new(0), AtomicU64::new(0), Instant::now());
     (0..count.div_ceil(BLOCK as u64)).into_par_iter().for_each(|block| {
         for violation in violations(&cases[block as usize % cases.len()], block) {

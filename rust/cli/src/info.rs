@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use glimt_core::hybrid::Form;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::network::{Activation, Network};
+use glimt_core::network::Network;
 use glimt_core::sampler::Sampler;
 use glimt_core::tabulated::Tabulated;
 use glimt_core::{Library, Material, Model, Vec3};
@@ -234,10 +234,7 @@ impl NetworkInfo {
         let outputs = network.layers().iter().map(|layer| layer.outputs());
         NetworkInfo {
             sizes: std::iter::once(inputs).chain(outputs).collect(),
-            activation: match network.activation() {
-                Activation::HardGelu => "hardgelu",
-                Activation::Relu => "relu",
-            },
+            activation: network.activation().name(),
         }
     }
 }

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Folder, ggx, shared};
 use glimt_core::factor::{Interpolation, Variant};
-use glimt_core::{Brdf, Library, Material, SampleBrdf, Vec3};
+use glimt_core::{Brdf, Kind, Library, Material, SampleBrdf, Vec3};
 use glimt_files::{Array, Source};
 
 /// Directions away from grazing ones.
@@ -96,7 +96,7 @@ fn published_fits_become_a_library() {
     let library = Library::open(folder.path("ward.safetensors")).unwrap();
     assert_eq!(library.names(), ["gold", "jade"]);
     let gold = library.material(Some("gold")).unwrap();
-    assert_eq!(gold.kind(), "analytic");
+    assert_eq!(gold.kind(), Kind::Analytic);
     // Ward 1992 at the normal: k_d/π + k_s/(4π α²), times the database's factors of the channels.
     let expected = Vec3::new(0.1, 0.05, 0.0) / std::f32::consts::PI
         + Vec3::new(0.2, 0.1, 0.05) / (4.0 * std::f32::consts::PI * 0.04);

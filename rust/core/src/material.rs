@@ -1,96 +1,133 @@
 //! The closed set of models, as one type that a renderer holds.
 //!
-//! A model is listed here in three places: the enum, `with_model!`, and `variants!`.
+//! Models are listed once, in [`models!`](Kind). [`Kind`], [`Material`], the conversions, and the macros
+//! `with_model!` and `with_kind!` are made from the list. What is particular to a model is a `match` over [`Kind`]
+//! without a wildcard, here and in other crates, so that a model which is missing somewhere does not compile.
 
+use std::fmt;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use glam::Vec3;
 
-use crate::analytic::Analytic;
 use crate::brdf::{Brdf, Sample, SampleBrdf};
-use crate::factor::Factor;
-use crate::ggx::Ggx;
-use crate::hybrid::Hybrid;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::microfacet::Microfacet;
 use crate::model::Model;
-use crate::nbrdf::Nbrdf;
 use crate::network::Network;
-use crate::neural::Neural;
 use crate::sampler::{Sampler, SamplerChoice};
 use crate::simd::Lane3;
-use crate::spherical::Spherical;
 use crate::table_sampler::TableSampler;
-use crate::tabulated::Tabulated;
 
-/// A material of any model.
-#[derive(Clone, Debug)]
-pub enum Material {
-    /// See [`crate::ggx`].
-    Ggx(Ggx),
-    /// See [`crate::hybrid`].
-    Hybrid(Hybrid),
-    /// See [`crate::neural`].
-    Neural(Neural),
-    /// See [`crate::nbrdf`].
-    Nbrdf(Nbrdf),
-    /// See [`crate::factor`].
-    Factor(Factor),
-    /// See [`crate::tabulated`].
-    Tabulated(Tabulated),
-    /// See [`crate::analytic`].
-    Analytic(Analytic),
-    /// See [`crate::spherical`].
-    Spherical(Spherical),
-}
+/// Makes what goes over all models from the list of their modules and types. `$d` is a dollar sign, for the
+/// macros that are made.
+macro_rules! models {
+    ($d:tt $($module:ident::$model:ident,)+) => {
+        $(use crate::$module::$model;)+
 
-/// `$body` with `$model` bound to the [`Model`] that `$material` holds.
-macro_rules! with_model {
-    ($material:expr, $model:pat => $body:expr) => {
-        match $material {
-            Material::Ggx($model) => $body,
-            Material::Hybrid($model) => $body,
-            Material::Neural($model) => $body,
-            Material::Nbrdf($model) => $body,
-            Material::Factor($model) => $body,
-            Material::Tabulated($model) => $body,
-            Material::Analytic($model) => $body,
-            Material::Spherical($model) => $body,
+        /// Which model a material is of.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum Kind {$(
+            #[doc = concat!("See [`crate::", stringify!($module), "`].")]
+            $model,
+        )+}
+
+        impl Kind {
+            /// Every kind, in the order of the list.
+            pub const ALL: [Kind; [$(Kind::$model),+].len()] = [$(Kind::$model),+];
+
+            /// The model's name as files and commands spell it.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self {$(Kind::$model => <$model as Model>::KIND,)+}
+            }
         }
+
+        /// A material of any model.
+        #[derive(Clone, Debug)]
+        pub enum Material {$(
+            #[doc = concat!("See [`crate::", stringify!($module), "`].")]
+            $model($model),
+        )+}
+
+        impl Material {
+            /// The model.
+            #[must_use]
+            pub const fn kind(&self) -> Kind {
+                match self {$(Material::$model(_) => Kind::$model,)+}
+            }
+        }
+
+        $(
+            impl From<$model> for Material {
+                fn from(model: $model) -> Self {
+                    Material::$model(model)
+                }
+            }
+
+            impl<'a> TryFrom<&'a Material> for &'a $model {
+                type Error = ();
+
+                fn try_from(material: &'a Material) -> Result<Self, ()> {
+                    if let Material::$model(model) = material { Ok(model) } else { Err(()) }
+                }
+            }
+        )+
+
+        /// `$body` with `$model` bound to the [`Model`] that `$material` holds.
+        macro_rules! with_model {
+            ($d material:expr, $d model:pat => $d body:expr) => {
+                match $d material {$(Material::$model($d model) => $d body,)+}
+            };
+        }
+        pub(crate) use with_model;
+
+        /// `$body` with `$Type` standing for the [`Model`] of `$kind`.
+        macro_rules! with_kind {
+            ($d kind:expr, $d Type:ident => $d body:expr) => {
+                match $d kind {$(
+                    $crate::material::Kind::$model => {
+                        type $d Type = $crate::$module::$model;
+                        $d body
+                    }
+                )+}
+            };
+        }
+        pub(crate) use with_kind;
     };
 }
-pub(crate) use with_model;
 
-/// Ways between [`Material`] and each model.
-macro_rules! variants {
-    ($($model:ident),+) => {$(
-        impl From<$model> for Material {
-            fn from(model: $model) -> Self {
-                Material::$model(model)
-            }
-        }
-
-        impl<'a> TryFrom<&'a Material> for &'a $model {
-            type Error = ();
-
-            fn try_from(material: &'a Material) -> Result<Self, ()> {
-                if let Material::$model(model) = material { Ok(model) } else { Err(()) }
-            }
-        }
-    )+};
+models! {$
+    ggx::Ggx,
+    hybrid::Hybrid,
+    neural::Neural,
+    nbrdf::Nbrdf,
+    factor::Factor,
+    tabulated::Tabulated,
+    analytic::Analytic,
+    spherical::Spherical,
 }
-variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated, Analytic, Spherical);
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// A name that no model has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no model has this name")]
+pub struct UnknownKind;
+
+impl FromStr for Kind {
+    type Err = UnknownKind;
+
+    fn from_str(name: &str) -> Result<Kind, UnknownKind> {
+        Kind::ALL.into_iter().find(|kind| kind.name() == name).ok_or(UnknownKind)
+    }
+}
 
 impl Material {
-    /// See [`Model::KIND`].
-    #[must_use]
-    pub fn kind(&self) -> &'static str {
-        fn kind<M: Model>(_: &M) -> &'static str {
-            M::KIND
-        }
-        with_model!(self, model => kind(model))
-    }
-
     /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {

@@ -9,7 +9,7 @@ use glimt_core::edit::Room;
 use glimt_core::library::{Entry, mix_name};
 use glimt_core::lobes::Lobes;
 use glimt_core::sampler::SamplerChoice;
-use glimt_core::{Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_core::{Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
 use glimt_files::Source;
 
 use crate::packet::eval_packet_address;
@@ -17,16 +17,13 @@ use crate::sampler_packet::{pdf_packet_address, sample_packet_address};
 
 #[cxx::bridge(namespace = "glimt::core")]
 mod ffi {
-    /// The kind of a model.
+    /// The models that `traced.h` of the plugin knows, and one for all others.
     enum Kind {
         Ggx,
         Hybrid,
         Neural,
         Nbrdf,
-        Factor,
-        Tabulated,
-        Analytic,
-        Spherical,
+        Untraced,
     }
 
     /// What a network sees of two directions, see `features.rs` of the core.
@@ -122,6 +119,8 @@ mod ffi {
         fn room(&self) -> &[f32];
         /// Whether `model` is all that it takes to trace the evaluation elsewhere.
         fn has_traced_form(&self) -> bool;
+        /// Names of the models of which that is so, for messages.
+        fn traced_models() -> String;
         /// Whether the sampler is made of `lobes`, and can be traced elsewhere.
         fn has_lobes(&self) -> bool;
         /// The lobes, or cosine-distributed ones where the sampler is something else.
@@ -197,6 +196,22 @@ fn shared_library(path: &str) -> Result<Arc<Library>, String> {
     Ok(library)
 }
 
+/// Which form of `traced.h` a model has.
+const fn traced_kind(kind: Kind) -> ffi::Kind {
+    match kind {
+        Kind::Ggx => ffi::Kind::Ggx,
+        Kind::Hybrid => ffi::Kind::Hybrid,
+        Kind::Neural => ffi::Kind::Neural,
+        Kind::Nbrdf => ffi::Kind::Nbrdf,
+        Kind::Factor | Kind::Tabulated | Kind::Analytic | Kind::Spherical => ffi::Kind::Untraced,
+    }
+}
+
+fn traced_models() -> String {
+    let is_traced = |&kind: &Kind| traced_kind(kind) != ffi::Kind::Untraced;
+    Kind::ALL.into_iter().filter(is_traced).map(Kind::name).collect::<Vec<_>>().join(", ")
+}
+
 impl Material {
     fn edited(&self, microfacet: &ffi::Microfacet, latent: &[f32]) -> Result<Box<Material>, String> {
         guarded_result(|| {
@@ -222,7 +237,7 @@ impl Material {
             glimt_core::Material::Tabulated(tabulated) => {
                 return format!("{} ({})", self.material.kind(), tabulated.table().format());
             }
-            fitted => fitted.kind(),
+            fitted => fitted.kind().name(),
         };
         let Some(network) = self.material.network() else { return kind.to_owned() };
         let layers = network.layers();
@@ -233,7 +248,7 @@ impl Material {
 
     fn model(&self) -> ffi::Model {
         let model = ffi::Model {
-            kind: ffi::Kind::Ggx,
+            kind: traced_kind(self.material.kind()),
             network: ffi::Network { layers: Vec::new(), activation: ffi::Activation::Relu },
             bound: 0.0,
             inputs: ffi::Inputs::Cartesian,
@@ -243,9 +258,7 @@ impl Material {
             frames: ffi::Layer { weight: Vec::new(), bias: Vec::new() },
         };
         match &self.material {
-            glimt_core::Material::Ggx(_) => model,
             glimt_core::Material::Hybrid(m) => ffi::Model {
-                kind: ffi::Kind::Hybrid,
                 network: m.network().as_ref().into(),
                 bound: m.bound(),
                 inputs: m.form().inputs.into(),
@@ -255,20 +268,18 @@ impl Material {
                 ..model
             },
             glimt_core::Material::Neural(m) => ffi::Model {
-                kind: ffi::Kind::Neural,
                 network: (&m.shared().network).into(),
                 bound: m.bound(),
                 frames: (&m.shared().frames).into(),
                 ..model
             },
-            glimt_core::Material::Nbrdf(m) => {
-                ffi::Model { kind: ffi::Kind::Nbrdf, network: m.network().as_ref().into(), ..model }
-            }
-            glimt_core::Material::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
-            glimt_core::Material::Tabulated(_) => ffi::Model { kind: ffi::Kind::Tabulated, ..model },
-            glimt_core::Material::Analytic(_) => ffi::Model { kind: ffi::Kind::Analytic, ..model },
-            // The lookup is not traced, so that what it needs does not cross.
-            glimt_core::Material::Spherical(_) => ffi::Model { kind: ffi::Kind::Spherical, ..model },
+            glimt_core::Material::Nbrdf(m) => ffi::Model { network: m.network().as_ref().into(), ..model },
+            // The microfacet model is all parameters. Of what is not traced, nothing needs to cross.
+            glimt_core::Material::Ggx(_)
+            | glimt_core::Material::Factor(_)
+            | glimt_core::Material::Tabulated(_)
+            | glimt_core::Material::Analytic(_)
+            | glimt_core::Material::Spherical(_) => model,
         }
     }
 
@@ -295,8 +306,7 @@ impl Material {
     }
 
     fn has_traced_form(&self) -> bool {
-        use glimt_core::Material::{Analytic, Factor, Spherical, Tabulated};
-        !matches!(self.material, Factor(_) | Tabulated(_) | Analytic(_) | Spherical(_))
+        traced_kind(self.material.kind()) != ffi::Kind::Untraced
     }
 
     fn has_lobes(&self) -> bool {

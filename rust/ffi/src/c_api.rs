@@ -10,7 +10,7 @@ use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::ptr;
 
-use glimt_core::{Brdf, Error, Library, Material, Sample, SampleBrdf, Vec3};
+use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
 use glimt_files::Source;
 
 use crate::bridge::guarded;
@@ -231,7 +231,7 @@ pub unsafe extern "C" fn glimt_library_open(
             Err(error) => fail_to_open(error),
             Ok(opened) => {
                 let names = opened.entries().iter().map(|entry| c_string(&entry.name)).collect();
-                let kind = c_string(opened.kind());
+                let kind = c_string(opened.kind().name());
                 // SAFETY: the caller's promise.
                 unsafe { hand_out(library, glimt_library { library: opened, names, kind }) }
             }
@@ -390,7 +390,7 @@ pub unsafe extern "C" fn glimt_material_get_info(
         unsafe {
             info.write(glimt_material_info {
                 name: material.name.as_ptr(),
-                kind: kind(&material.material),
+                kind: material.material.kind().into(),
                 has_microfacet: microfacet.is_some(),
                 kd: microfacet.map_or([0.0; 3], |m| m.kd),
                 eta: microfacet.map_or([0.0; 3], |m| m.eta),
@@ -403,16 +403,18 @@ pub unsafe extern "C" fn glimt_material_get_info(
     })
 }
 
-fn kind(material: &Material) -> glimt_kind {
-    match material {
-        Material::Ggx(_) => GLIMT_KIND_GGX,
-        Material::Hybrid(_) => GLIMT_KIND_HYBRID,
-        Material::Neural(_) => GLIMT_KIND_NEURAL,
-        Material::Nbrdf(_) => GLIMT_KIND_NBRDF,
-        Material::Factor(_) => GLIMT_KIND_FACTOR,
-        Material::Tabulated(_) => GLIMT_KIND_TABULATED,
-        Material::Analytic(_) => GLIMT_KIND_ANALYTIC,
-        Material::Spherical(_) => GLIMT_KIND_SPHERICAL,
+impl From<Kind> for glimt_kind {
+    fn from(kind: Kind) -> glimt_kind {
+        match kind {
+            Kind::Ggx => GLIMT_KIND_GGX,
+            Kind::Hybrid => GLIMT_KIND_HYBRID,
+            Kind::Neural => GLIMT_KIND_NEURAL,
+            Kind::Nbrdf => GLIMT_KIND_NBRDF,
+            Kind::Factor => GLIMT_KIND_FACTOR,
+            Kind::Tabulated => GLIMT_KIND_TABULATED,
+            Kind::Analytic => GLIMT_KIND_ANALYTIC,
+            Kind::Spherical => GLIMT_KIND_SPHERICAL,
+        }
     }
 }
 

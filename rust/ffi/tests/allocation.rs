@@ -4,18 +4,9 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::ffi::CString;
 use std::ptr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use glimt_core::features::Inputs;
-use glimt_core::ggx::Ggx;
-use glimt_core::hybrid::{Form, Hybrid};
-use glimt_core::library::{Entry, Origin};
-use glimt_core::microfacet::Microfacet;
-use glimt_core::nbrdf::Nbrdf;
-use glimt_core::network::{Activation, Layer, Network};
-use glimt_core::neural::{Neural, Shared};
-use glimt_core::{Library, Material};
+use glimt_check::extremes::materials_of_every_kind;
 use glimt_ffi::c_api::*;
 
 /// The system's allocator, counting.
@@ -40,31 +31,6 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-fn network(sizes: &[usize], features: usize, activation: Activation) -> Arc<Network> {
-    let layers = sizes.windows(2).map(|pair| Layer {
-        weight: (0..pair[0] * pair[1]).map(|i| 0.3 * (i as f32 * 1.7).sin()).collect(),
-        bias: vec![0.05; pair[1]],
-    });
-    Arc::new(Network::new(layers.collect(), features, activation).unwrap())
-}
-
-/// A material of every model.
-fn materials() -> Vec<Material> {
-    let microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5; 3], alpha: [0.2; 2] };
-    let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
-    let hybrid = network(&[form.features() + 4, 32, 32, 6], form.features(), Activation::HardGelu);
-    let shared = Shared {
-        network: Arc::unwrap_or_clone(network(&[18 + 8, 32, 32, 3], 18, Activation::HardGelu)),
-        frames: Layer { weight: vec![0.1; 18 * 8], bias: vec![0.1; 18] },
-    };
-    vec![
-        Material::Ggx(Ggx::new(microfacet).unwrap()),
-        Material::Hybrid(Hybrid::new(form, hybrid, microfacet, vec![0.1; 4], 1.0).unwrap()),
-        Material::Neural(Neural::new(Arc::new(shared), vec![0.1; 8], 1.0).unwrap()),
-        Material::Nbrdf(Nbrdf::new(network(&[6, 21, 21, 3], 6, Activation::Relu)).unwrap()),
-    ]
-}
-
 #[test]
 fn nothing_is_allocated_after_loading() {
     const N: usize = 33;
@@ -73,11 +39,9 @@ fn nothing_is_allocated_after_loading() {
     let view = [0.48f32, 0.36, 0.8].repeat(N);
     let (mut f, mut pdf) = (vec![0.0f32; 3 * N], vec![0.0f32; N]);
     let mut samples = vec![glimt_light_sample { light: [0.0; 3], pdf: 0.0, weight: [0.0; 3] }; N];
-    for material in materials() {
-        let kind = material.kind();
-        let path = folder.path().join(kind);
-        let entry = Entry { name: "only".into(), material, origin: Origin::default() };
-        Library::new(&path, vec![entry]).unwrap().save().unwrap();
+    for case in materials_of_every_kind() {
+        let kind = case.material.kind();
+        let path = case.save(&folder.path().join(kind.name())).unwrap();
         let path = CString::new(path.to_str().unwrap()).unwrap();
         let (mut library, mut material) = (ptr::null_mut(), ptr::null_mut());
         // SAFETY: every pointer is valid for what the functions read and write.

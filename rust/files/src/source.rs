@@ -90,14 +90,14 @@ impl Source {
         }
     }
 
-    /// The model or the measured format: `ggx`, `hybrid`, `neural`, `nbrdf`, `factor`, `analytic`, `merl`,
-    /// `rgl`, `utia`, `samples`.
+    /// The name of the model ([`Kind::name`](glimt_core::Kind::name)); for a measured table that of its format
+    /// (`merl`, `rgl`, `utia`), and `samples` for scattered samples.
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
             Source::Library(library) => match &library.entries()[0].material {
                 Material::Tabulated(tabulated) => tabulated.table().format(),
-                _ => library.kind(),
+                _ => library.kind().name(),
             },
             Source::Samples { .. } => "samples",
         }

@@ -5,7 +5,6 @@ use glimt_core::Material;
 use glimt_core::features::Inputs;
 use glimt_core::hybrid::Hybrid;
 use glimt_core::library::{Entry, Library, Origin};
-use glimt_core::network::Activation;
 use serde::Deserialize;
 
 use crate::backprop::Shape;
@@ -69,7 +68,12 @@ pub fn add(
     let objective = HybridObjective {
         sharing: Sharing::Library,
         form,
-        shape: Shape::new(layers[0].inputs(), &hidden, form.composition.outputs(), Activation::HardGelu),
+        shape: Shape::new(
+            layers[0].inputs(),
+            &hidden,
+            form.composition.outputs(),
+            first.network().activation(),
+        ),
         latent: first.latent().len(),
         isotropic,
         loss: recipe.loss,

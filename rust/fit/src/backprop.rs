@@ -36,6 +36,12 @@ impl Shape {
         Shape { sizes, activation }
     }
 
+    /// The nonlinearity between the layers.
+    #[must_use]
+    pub fn activation(&self) -> Activation {
+        self.activation
+    }
+
     /// Number of layers.
     #[must_use]
     pub fn layers(&self) -> usize {

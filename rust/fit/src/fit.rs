@@ -422,7 +422,7 @@ pub(crate) fn hybrid_materials(
     let (shared, own) = numbers.split_at(objective.shared_len());
     let network = |numbers: &[f32]| {
         let layers = objective.shape.to_layers(numbers);
-        Network::new(layers, objective.form.features(), Activation::HardGelu).map(Arc::new)
+        Network::new(layers, objective.form.features(), objective.shape.activation()).map(Arc::new)
     };
     let library = match objective.sharing {
         Sharing::Library => Some(network(shared)?),

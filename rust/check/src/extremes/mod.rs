@@ -8,8 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use glimt_core::analytic::Analytic;
-use glimt_core::factor::{self, Factor, Interpolation, Variant};
+use glimt_core::factor::{self, Interpolation, Variant};
 use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::{self, Hybrid};
 use glimt_core::library::{Entry, Origin};
@@ -17,9 +16,7 @@ use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::nbrdf::{self, Nbrdf};
 use glimt_core::neural::{self, Neural, Shared};
 use glimt_core::sampler::SamplerChoice;
-use glimt_core::spherical::Spherical;
-use glimt_core::tabulated::Tabulated;
-use glimt_core::{Library, Material, Model};
+use glimt_core::{Kind, Library, Material};
 
 use crate::measurements;
 use crate::stability::{nudged_layer, nudged_network};
@@ -75,30 +72,71 @@ impl Case {
         let name = format!("{}, sampled by {sampler}", self.name);
         Case { name, material: self.material.with_sampler(choice), sampler, file: self.file.clone() }
     }
+
+    /// Writes the material to a file of this name and the extension of its format, which it names: a measurement in
+    /// its format, a model as a library. Its sampler is not in the file.
+    ///
+    /// # Errors
+    /// [`glimt_core::Error::Write`].
+    pub fn save(&self, path: &Path) -> Result<PathBuf, glimt_core::Error> {
+        let Some(MeasuredFile { extension, bytes }) = &self.file else {
+            let path = path.with_extension("safetensors");
+            let (name, material) = (self.name.clone(), self.material.clone());
+            Library::new(&path, vec![Entry { name, material, origin: Origin::default() }])?.save()?;
+            return Ok(path);
+        };
+        let path = path.with_extension(extension);
+        match std::fs::write(&path, bytes) {
+            Ok(()) => Ok(path),
+            Err(source) => Err(glimt_core::Error::Write { path, source }),
+        }
+    }
 }
 
-/// A kind of model.
-pub struct Kind {
-    /// As files and commands spell it.
-    pub name: &'static str,
-    /// Its materials of the catalogue.
+/// What the catalogue has of a model.
+pub struct Part {
+    /// The model.
+    pub kind: Kind,
+    /// Its materials.
     pub cases: fn() -> Vec<Case>,
     /// Largest [`blame`](crate::accuracy::Comparison::blame) that it is allowed.
     pub budget: f64,
 }
 
-/// Every kind of model. A new one is covered by a line here and its reference in [`reference`].
-pub const KINDS: [Kind; 8] = [
-    Kind { name: Ggx::KIND, cases: materials::ggx, budget: 4.0 },
-    Kind { name: Hybrid::KIND, cases: materials::hybrid, budget: 8.0 },
-    Kind { name: Neural::KIND, cases: materials::neural, budget: 4.0 },
-    Kind { name: Nbrdf::KIND, cases: materials::nbrdf, budget: 4.0 },
-    // A place among 90 bins takes 6 of a float's 24 bits.
-    Kind { name: Factor::KIND, cases: materials::factor, budget: 32.0 },
-    Kind { name: Analytic::KIND, cases: materials::analytic, budget: 0.0 },
-    Kind { name: Spherical::KIND, cases: materials::spherical, budget: 0.0 },
-    Kind { name: Tabulated::KIND, cases: measurements::cases, budget: 0.0 },
-];
+impl Part {
+    /// What there is of `kind`.
+    #[must_use]
+    pub fn of(kind: Kind) -> Part {
+        let (cases, budget): (fn() -> Vec<Case>, f64) = match kind {
+            Kind::Ggx => (materials::ggx, 4.0),
+            Kind::Hybrid => (materials::hybrid, 8.0),
+            Kind::Neural => (materials::neural, 4.0),
+            Kind::Nbrdf => (materials::nbrdf, 4.0),
+            // A place among 90 bins takes 6 of a float's 24 bits.
+            Kind::Factor => (materials::factor, 32.0),
+            // These have no reference, see [`reference`].
+            Kind::Analytic => (materials::analytic, 0.0),
+            Kind::Spherical => (materials::spherical, 0.0),
+            Kind::Tabulated => (measurements::cases, 0.0),
+        };
+        Part { kind, cases, budget }
+    }
+}
+
+/// The catalogue's materials, model by model.
+#[must_use]
+pub fn parts() -> [Part; Kind::ALL.len()] {
+    Kind::ALL.map(Part::of)
+}
+
+/// One material of every model, for tests that need all models but no extremes.
+///
+/// # Panics
+/// If the catalogue has none of a model.
+#[must_use]
+pub fn materials_of_every_kind() -> Vec<Case> {
+    parts().iter().map(|part| (part.cases)().swap_remove(0)).collect()
+}
 
 /// f of a pair above the horizon by the model's float64 reference; `None` for kinds that have
 /// none, and tables that are constant in each bin, whose error at an edge is that of the bin.
@@ -156,28 +194,15 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
     Some(nudged.expect("numbers stay in their ranges"))
 }
 
-/// Writes every material of the catalogue to `directory` as a file of its own, which it names: a measurement
-/// in its format, a model as a library. Its sampler is not in the file.
+/// Writes every material of the catalogue to `directory` as a file of its own, see [`Case::save`].
 ///
 /// # Errors
 /// [`glimt_core::Error::Write`].
 pub fn save_files(directory: &Path) -> Result<Vec<(PathBuf, Case)>, glimt_core::Error> {
     let mut saved = Vec::new();
-    for kind in KINDS {
-        for (i, case) in (kind.cases)().into_iter().enumerate() {
-            let path = directory.join(format!("{}-{i}", kind.name));
-            let path = if let Some(MeasuredFile { extension, bytes }) = &case.file {
-                let path = path.with_extension(extension);
-                let written = std::fs::write(&path, bytes);
-                written.map_err(|source| glimt_core::Error::Write { path: path.clone(), source })?;
-                path
-            } else {
-                let path = path.with_extension("safetensors");
-                let (name, material) = (case.name.clone(), case.material.clone());
-                Library::new(&path, vec![Entry { name, material, origin: Origin::default() }])?.save()?;
-                path
-            };
-            saved.push((path, case));
+    for Part { kind, cases, .. } in parts() {
+        for (i, case) in cases().into_iter().enumerate() {
+            saved.push((case.save(&directory.join(format!("{kind}-{i}")))?, case));
         }
     }
     Ok(saved)

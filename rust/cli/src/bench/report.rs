@@ -47,7 +47,7 @@ impl Measurement {
         let ns = |q| 1e9 * quantile(seconds, q);
         let ratios = |limits: &[f64]| seconds.iter().zip(limits).map(|(t, l)| t / l).collect::<Vec<_>>();
         Measurement {
-            model: case.material.kind(),
+            model: case.material.kind().name(),
             net: case.size(),
             way,
             threads,

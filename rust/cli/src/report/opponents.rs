@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use glimt_core::library::Entry;
-use glimt_core::{Library, Material};
+use glimt_core::{Kind, Library, Material};
 use glimt_files::{Source, sha256};
 
 use crate::Usage;
@@ -64,7 +64,7 @@ impl Opponents {
                 single.push(library);
             }
         }
-        for kind in ["nbrdf", "analytic"] {
+        for kind in Kind::ALL {
             let of_kind: Vec<&Library> =
                 single.iter().copied().filter(|library| library.kind() == kind).collect();
             if !of_kind.is_empty() {
@@ -142,7 +142,7 @@ impl Model {
     pub fn of_library(library: &Library) -> Result<Model> {
         Ok(Model {
             name: stem(library.path()),
-            kind: library.kind(),
+            kind: library.kind().name(),
             file: library.path().to_owned(),
             sha256: sha256(library.path())?,
             files: Vec::new(),
@@ -167,8 +167,8 @@ impl Model {
         }
         let (own, shared) = first.tensor_bytes();
         Ok(Model {
-            name: first.kind().to_owned(),
-            kind: first.kind(),
+            name: first.kind().name().to_owned(),
+            kind: first.kind().name(),
             file: first.path().to_owned(),
             sha256: hashes,
             files: libraries.iter().map(|library| library.path().to_owned()).collect(),

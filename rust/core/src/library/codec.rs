@@ -18,6 +18,9 @@ use crate::tabulated::Tabulated;
 
 /// A model's part of the library file.
 pub(crate) trait Codec: Model {
+    /// Whether a library can hold the model.
+    const STORED: bool = true;
+
     /// What the materials of a library have in common and no tensor's shape tells, for the metadata.
     fn form(&self) -> Option<Value> {
         None
@@ -145,6 +148,8 @@ impl Codec for Nbrdf {
 
 /// Measurements stay in their own formats.
 impl Codec for Tabulated {
+    const STORED: bool = false;
+
     fn encode(_: &[&Self]) -> Vec<Tensor> {
         Vec::new()
     }

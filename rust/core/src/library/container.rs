@@ -64,6 +64,8 @@ pub(crate) struct Tensors<'a> {
     pub file: SafeTensors<'a>,
     /// Names of the materials.
     pub names: Vec<&'a str>,
+    /// The activation of the networks, where the header says it.
+    pub activation: Option<Activation>,
 }
 
 impl Tensors<'_> {
@@ -148,8 +150,15 @@ impl Tensors<'_> {
         Ok(tensor.data)
     }
 
-    /// One network per material, the same one where they share it.
-    pub fn networks(&self, features: usize, activation: Activation) -> Result<Vec<Arc<Network>>, String> {
+    /// The activation of the networks. Files of version 1 that do not say it hold networks of the one that every
+    /// network of the model then had.
+    pub fn activation_or(&self, unsaid: Activation) -> Activation {
+        self.activation.unwrap_or(unsaid)
+    }
+
+    /// One network per material, the same one where they share it; `unsaid` as for [`Tensors::activation_or`].
+    pub fn networks(&self, features: usize, unsaid: Activation) -> Result<Vec<Arc<Network>>, String> {
+        let activation = self.activation_or(unsaid);
         let mut stacks: Vec<[Numbers; 2]> = Vec::new();
         while self.has(&format!("network.{}.weight", stacks.len())) {
             let i = stacks.len();

@@ -1,7 +1,7 @@
 //! The model library: one `.safetensors` file with the materials of one model.
 //!
 //! The metadata of the container holds one JSON object under `glimt` ([`Header`]): format version,
-//! model, names, and where each material came from. Tensors are little-endian float32:
+//! model, activation of its networks, names, and where each material came from. Tensors are little-endian float32:
 //!
 //! | tensor | shape | models |
 //! |---|---|---|
@@ -29,17 +29,9 @@ use safetensors::tensor::{SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::analytic::Analytic;
 use crate::error::Error;
-use crate::factor::Factor;
-use crate::ggx::Ggx;
-use crate::hybrid::Hybrid;
-use crate::material::{Material, with_model};
-use crate::model::Model;
-use crate::nbrdf::Nbrdf;
-use crate::network::Network;
-use crate::neural::Neural;
-use crate::spherical::Spherical;
+use crate::material::{Kind, Material, with_kind, with_model};
+use crate::network::{Activation, Network};
 
 use codec::Codec;
 use container::{Tensor, Tensors};
@@ -105,6 +97,9 @@ struct Header {
     color_space: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     form: Option<Value>,
+    /// The activation of the networks, where the model has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    activation: Option<String>,
     materials: Vec<MaterialHeader>,
 }
 
@@ -192,7 +187,7 @@ impl Library {
     /// [`Error::Write`], for measured tables too: a library cannot hold them.
     pub fn save(&self) -> Result<(), Error> {
         let error = |source| Error::Write { path: self.path.clone(), source };
-        if self.tensors().is_empty() {
+        if !with_kind!(self.kind(), Stored => Stored::STORED) {
             let reason = "a library cannot hold a measurement; fit a model to it with glimt fit";
             return Err(error(std::io::Error::other(reason)));
         }
@@ -211,9 +206,9 @@ impl Library {
         &self.entries
     }
 
-    /// The model's name.
+    /// The model.
     #[must_use]
-    pub fn kind(&self) -> &'static str {
+    pub fn kind(&self) -> Kind {
         self.entries[0].material.kind()
     }
 
@@ -280,16 +275,19 @@ impl Library {
     pub fn shares_network(&self) -> bool {
         let address = |entry: &Entry| entry.material.network().map(std::ptr::from_ref);
         let first = address(&self.entries[0]);
-        self.kind() != "nbrdf" && first.is_some() && self.entries.iter().all(|entry| address(entry) == first)
+        self.kind() != Kind::Nbrdf
+            && first.is_some()
+            && self.entries.iter().all(|entry| address(entry) == first)
     }
 
     /// The file's bytes.
     fn encode(&self) -> Vec<u8> {
         let header = Header {
             format: FORMAT_VERSION,
-            kind: self.kind().to_owned(),
+            kind: self.kind().name().to_owned(),
             color_space: COLOR_SPACE.to_owned(),
             form: form(&self.entries[0].material),
+            activation: activation(&self.entries[0].material).map(|activation| activation.name().to_owned()),
             materials: self
                 .entries
                 .iter()
@@ -329,11 +327,15 @@ fn form(material: &Material) -> Option<Value> {
     with_model!(material, model => Codec::form(model))
 }
 
-/// Model and sizes: what the materials of one library have in common.
-fn architecture(material: &Material) -> (&'static str, Option<Value>, Vec<(usize, usize)>) {
+fn activation(material: &Material) -> Option<Activation> {
+    material.network().map(Network::activation)
+}
+
+/// Model, sizes and activation: what the materials of one library have in common.
+fn architecture(material: &Material) -> (Kind, Option<Value>, Vec<(usize, usize)>, Option<Activation>) {
     let layers = material.network().map_or(&[][..], Network::layers);
     let sizes = layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect();
-    (material.kind(), form(material), sizes)
+    (material.kind(), form(material), sizes, activation(material))
 }
 
 fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
@@ -361,13 +363,19 @@ fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
     }
     let file = SafeTensors::deserialize(bytes).map_err(container)?;
     let names = header.materials.iter().map(|material| material.name.as_str()).collect();
-    let materials = decode_materials(&header, &Tensors { file, names })?;
+    let activation = header.activation.as_deref().map(activation_named).transpose()?;
+    let materials = decode_materials(&header, &Tensors { file, names, activation })?;
     Ok(header
         .materials
         .into_iter()
         .zip(materials)
         .map(|(MaterialHeader { name, origin }, material)| Entry { name, material, origin })
         .collect())
+}
+
+fn activation_named(name: &str) -> Result<Activation, String> {
+    let expected = || Activation::ALL.map(Activation::name).join(" or ");
+    Activation::named(name).ok_or_else(|| format!("its activation is \"{name}\", expected {}", expected()))
 }
 
 /// The part of the header that is read first: a later version may change the rest.
@@ -383,32 +391,36 @@ fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, St
     {
         Ok(M::decode(file, header.form.as_ref())?.into_iter().map(Material::from).collect())
     }
-    match header.kind.as_str() {
-        Ggx::KIND => decode::<Ggx>(header, file),
-        Hybrid::KIND => decode::<Hybrid>(header, file),
-        Neural::KIND => decode::<Neural>(header, file),
-        Nbrdf::KIND => decode::<Nbrdf>(header, file),
-        Factor::KIND => decode::<Factor>(header, file),
-        Analytic::KIND => decode::<Analytic>(header, file),
-        Spherical::KIND => decode::<Spherical>(header, file),
-        other => Err(format!(
-            "its model is \"{other}\", expected ggx, hybrid, neural, nbrdf, factor, analytic or spherical"
-        )),
-    }
+    let kind: Kind = header
+        .kind
+        .parse()
+        .map_err(|_| format!("its model is \"{}\", expected {}", header.kind, names_of_stored_kinds()))?;
+    with_kind!(kind, Decoded => decode::<Decoded>(header, file))
+}
+
+/// The models that a library can hold, for messages.
+fn names_of_stored_kinds() -> String {
+    let is_stored = |&kind: &Kind| with_kind!(kind, Stored => Stored::STORED);
+    let names: Vec<&str> = Kind::ALL.into_iter().filter(is_stored).map(Kind::name).collect();
+    let (last, others) = names.split_last().expect("there are models");
+    format!("{} or {last}", others.join(", "))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analytic::tests::specimens;
+    use crate::analytic::{Analytic, Parameters, tests::specimens};
     use crate::brdf::Brdf;
-    use crate::factor::{Factors, Interpolation, tests::patterned_factors};
+    use crate::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
     use crate::features::Inputs;
-    use crate::hybrid::Form;
+    use crate::ggx::Ggx;
+    use crate::hybrid::{Form, Hybrid};
     use crate::microfacet::Microfacet;
+    use crate::nbrdf::Nbrdf;
+    use crate::network::Layer;
     use crate::network::tests::{patterned, patterned_from};
-    use crate::network::{Activation, Layer};
-    use crate::neural::{self, Shared};
+    use crate::neural::{self, Neural, Shared};
+    use crate::spherical::{store::StoreKind, tables::Grids, tests as spherical};
     use glam::Vec3;
     use proptest::prelude::*;
     use std::sync::{Arc, LazyLock};
@@ -426,60 +438,170 @@ mod tests {
         Material::Hybrid(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
     }
 
-    /// Two materials of every model, and of the hybrid with one network each.
+    fn two(a: Material, b: Material) -> Vec<Entry> {
+        vec![entry("a", a), entry("b", b)]
+    }
+
+    /// Libraries of two materials of a model, as many as there are ways to lie in a file; their networks, where they
+    /// have one, with this activation.
+    fn libraries_of(kind: Kind, activation: Activation) -> Vec<Vec<Entry>> {
+        match kind {
+            Kind::Ggx => {
+                let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
+                vec![two(ggx([0.1; 2]), ggx([0.1, 0.3]))]
+            }
+            Kind::Hybrid => {
+                let network = |seed| Arc::new(patterned_from(seed, &[10, 16, 16, 6], 6, activation));
+                let (shared, other) = (network(1), network(5));
+                vec![
+                    two(hybrid(&shared, [0.2; 2], 0.1), hybrid(&shared, [0.3; 2], -0.4)),
+                    two(hybrid(&shared, [0.2, 0.4], 0.1), hybrid(&other, [0.3; 2], 0.2)),
+                ]
+            }
+            Kind::Neural => {
+                let shared = Arc::new(Shared {
+                    network: patterned(&[30, 16, 3], neural::FEATURES, activation),
+                    frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
+                });
+                let neural = |z, bound| Neural::new(shared.clone(), vec![z; 12], bound).unwrap().into();
+                vec![two(neural(0.1, 1.0), neural(-0.2, 2.0))]
+            }
+            Kind::Nbrdf => {
+                let network = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, activation));
+                let nbrdf = |seed| Nbrdf::new(network(seed)).unwrap().into();
+                vec![two(nbrdf(1), nbrdf(2))]
+            }
+            Kind::Factor => {
+                let library = |factors: Factors| {
+                    let factor = || Factor::new(factors.clone(), Interpolation::Nearest).unwrap().into();
+                    two(factor(), factor())
+                };
+                patterned_factors().map(library).into()
+            }
+            // A library cannot hold them.
+            Kind::Tabulated => Vec::new(),
+            Kind::Analytic => {
+                let library = |parameters: Parameters| {
+                    let other = Parameters { diffuse: [0.5; 3], ..parameters.clone() };
+                    let [a, b] = [parameters, other].map(|p| Analytic::new(p).unwrap().into());
+                    two(a, b)
+                };
+                specimens().map(library).into()
+            }
+            Kind::Spherical => {
+                let library = |store| {
+                    let one = spherical::material_with(spherical::form(Grids::Iso), store, activation);
+                    let other = spherical::material_with(spherical::form(Grids::Iso), store, activation);
+                    two(one.into(), other.into())
+                };
+                vec![library(StoreKind::F32), library(StoreKind::Codebook(5))]
+            }
+        }
+    }
+
+    /// Libraries of every model.
     fn libraries() -> Vec<Vec<Entry>> {
-        let network = || Arc::new(patterned(&[10, 16, 16, 6], 6, Activation::HardGelu));
-        let shared = network();
-        let own = [network(), Arc::new(patterned_from(5, &[10, 16, 16, 6], 6, Activation::HardGelu))];
-        let neural = Arc::new(Shared {
-            network: patterned(&[30, 16, 3], neural::FEATURES, Activation::HardGelu),
-            frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
-        });
-        let nbrdf = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, Activation::Relu));
-        let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
-        let factor = |factors: Factors| {
-            let material = |name: &str, interpolation| {
-                entry(name, Material::Factor(Factor::new(factors.clone(), interpolation).unwrap()))
-            };
-            vec![material("a", Interpolation::Nearest), material("b", Interpolation::Nearest)]
+        Kind::ALL.into_iter().flat_map(|kind| libraries_of(kind, Activation::HardGelu)).collect()
+    }
+
+    /// The first library of a model.
+    fn library_of(kind: Kind) -> Vec<Entry> {
+        libraries_of(kind, Activation::HardGelu).remove(0)
+    }
+
+    /// What the file at `path` has for `entries`, which are saved there first.
+    fn saved_and_read(path: &Path, entries: Vec<Entry>) -> [Library; 2] {
+        let saved = Library::new(path, entries).unwrap();
+        saved.save().unwrap();
+        [saved, Library::open(path).unwrap()]
+    }
+
+    /// f of some pairs.
+    fn values(material: &Material) -> Vec<Vec3> {
+        let sides =
+            [Vec3::new(0.48, 0.36, 0.8), Vec3::new(-0.6, 0.0, 0.8), Vec3::new(0.0, 0.8, 0.6), Vec3::Z];
+        sides.iter().flat_map(|&light| sides.map(|view| material.eval(light, view))).collect()
+    }
+
+    #[test]
+    fn every_activation_of_every_network_comes_back_as_it_was_saved() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("library.safetensors");
+        let has_network = |kind: &Kind| {
+            let mut libraries = libraries_of(*kind, Activation::Relu).into_iter();
+            libraries.any(|entries| entries[0].material.network().is_some())
         };
-        let mut libraries = vec![
-            vec![entry("a", ggx([0.1; 2])), entry("b", ggx([0.1, 0.3]))],
-            vec![entry("a", hybrid(&shared, [0.2; 2], 0.1)), entry("b", hybrid(&shared, [0.3; 2], -0.4))],
-            vec![entry("a", hybrid(&own[0], [0.2, 0.4], 0.1)), entry("b", hybrid(&own[1], [0.3; 2], 0.2))],
-            vec![
-                entry("a", Material::Neural(Neural::new(neural.clone(), vec![0.1; 12], 1.0).unwrap())),
-                entry("b", Material::Neural(Neural::new(neural, vec![-0.2; 12], 2.0).unwrap())),
-            ],
-            vec![
-                entry("a", Material::Nbrdf(Nbrdf::new(nbrdf(1)).unwrap())),
-                entry("b", Material::Nbrdf(Nbrdf::new(nbrdf(2)).unwrap())),
-            ],
-        ];
-        libraries.extend(patterned_factors().map(factor));
-        libraries.extend(specimens().map(|parameters| {
-            let mut other = parameters.clone();
-            other.diffuse = [0.5; 3];
-            let material = |parameters| Material::Analytic(Analytic::new(parameters).unwrap());
-            vec![entry("a", material(parameters)), entry("b", material(other))]
-        }));
-        libraries
+        let with_network: Vec<Kind> = Kind::ALL.into_iter().filter(has_network).collect();
+        assert!(with_network.len() >= 4, "{with_network:?}");
+        for kind in with_network {
+            let mut of_activation = Vec::new();
+            for activation in Activation::ALL {
+                for entries in libraries_of(kind, activation) {
+                    let [saved, read] = saved_and_read(&path, entries);
+                    for (a, b) in saved.entries().iter().zip(read.entries()) {
+                        assert_eq!(b.material.network().unwrap().activation(), activation, "{kind}");
+                        assert_eq!(values(&a.material), values(&b.material), "{kind}, {activation:?}");
+                    }
+                    of_activation.push(values(&read.entries()[0].material));
+                }
+            }
+            // The test of the test: the activation matters.
+            let distinct = of_activation.iter().enumerate().all(|(i, f)| !of_activation[..i].contains(f));
+            assert!(distinct, "{kind}");
+        }
+    }
+
+    #[test]
+    fn files_that_do_not_say_their_activation_have_the_one_that_their_model_had() {
+        for (kind, expected) in [
+            (Kind::Hybrid, Activation::HardGelu),
+            (Kind::Neural, Activation::HardGelu),
+            (Kind::Spherical, Activation::HardGelu),
+            (Kind::Nbrdf, Activation::Relu),
+        ] {
+            let library = Library::new("", libraries_of(kind, expected).remove(0)).unwrap();
+            let said = format!("\\\"activation\\\":\\\"{}\\\",", expected.name());
+            let read = Library::from_bytes("", &replaced(&library.encode(), &said, "")).unwrap();
+            for (a, b) in library.entries().iter().zip(read.entries()) {
+                assert_eq!(b.material.network().unwrap().activation(), expected, "{kind}");
+                assert_eq!(values(&a.material), values(&b.material), "{kind}");
+            }
+        }
+    }
+
+    #[test]
+    fn networks_of_two_activations_do_not_make_a_library() {
+        for kind in [Kind::Hybrid, Kind::Nbrdf] {
+            let [a, mut b] =
+                Activation::ALL.map(|activation| libraries_of(kind, activation).remove(0).remove(0));
+            b.name = "b".to_owned();
+            let message = Library::new("merged", vec![a, b]).unwrap_err().to_string();
+            assert!(message.contains("differ in model"), "{message}");
+        }
+    }
+
+    /// A library's bytes with other metadata; the length of the header, in front, follows.
+    fn replaced(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+        let at = bytes.windows(from.len()).position(|w| w == from.as_bytes());
+        let at = at.unwrap_or_else(|| panic!("{from} is not in the file"));
+        let mut changed = bytes.to_vec();
+        changed.splice(at..at + from.len(), to.bytes());
+        let (length, _) = changed.split_first_chunk_mut().unwrap();
+        let grown = u64::from_le_bytes(*length) + to.len() as u64 - from.len() as u64;
+        *length = grown.to_le_bytes();
+        changed
     }
 
     #[test]
     fn every_model_comes_back_as_it_was_saved() {
         let folder = tempfile::tempdir().unwrap();
         for (i, entries) in libraries().into_iter().enumerate() {
-            let path = folder.path().join(format!("{i}.safetensors"));
-            let saved = Library::new(&path, entries).unwrap();
-            saved.save().unwrap();
-            let read = Library::open(&path).unwrap();
+            let [saved, read] = saved_and_read(&folder.path().join(format!("{i}.safetensors")), entries);
             assert_eq!(read.names(), ["a", "b"]);
             assert_eq!(read.tensor_bytes(), saved.tensor_bytes());
-            let (light, view) = (Vec3::new(0.48, 0.36, 0.8), Vec3::new(-0.6, 0.0, 0.8));
             for (a, b) in saved.entries().iter().zip(read.entries()) {
                 assert_eq!(a.origin, b.origin);
-                assert_eq!(a.material.eval(light, view), b.material.eval(light, view));
+                assert_eq!(values(&a.material), values(&b.material));
                 assert_eq!(a.material.sampler().lobes(), b.material.sampler().lobes());
             }
         }
@@ -537,7 +659,7 @@ mod tests {
 
     #[test]
     fn neural_materials_of_two_networks_do_not_make_a_library() {
-        let [mut entries, other] = [libraries().remove(3), libraries().remove(3)];
+        let [mut entries, other] = [Kind::Neural; 2].map(library_of);
         let mut stranger = other.into_iter().next().unwrap();
         stranger.name = "c".to_owned();
         entries.push(stranger);
@@ -547,7 +669,7 @@ mod tests {
 
     #[test]
     fn twelve_numbers_a_material() {
-        let library = Library::new("", libraries().remove(1)).unwrap();
+        let library = Library::new("", library_of(Kind::Hybrid)).unwrap();
         // k_d 3, η 3, α 1, z 4, bound 1; the network 10-16-16-6 with its biases.
         assert_eq!(library.tensor_bytes(), (4 * 12, 4 * (11 * 16 + 17 * 16 + 17 * 6)));
     }
@@ -580,18 +702,19 @@ mod tests {
             assert!(message.contains("broken.safetensors"), "{message}");
             message
         };
-        let good = Library::new(&path, libraries().remove(1)).unwrap().encode();
-        let replaced = |from: &str, to: &str| {
-            let at = good.windows(from.len()).position(|w| w == from.as_bytes()).unwrap();
-            let mut bytes = good.clone();
-            bytes.splice(at..at + from.len(), to.bytes());
-            bytes
-        };
+        let good = Library::new(&path, library_of(Kind::Hybrid)).unwrap().encode();
+        let replaced = |from: &str, to: &str| replaced(&good, from, to);
         assert!(refused(b"MZ").contains("broken"));
         assert!(refused(&good[..good.len() - 5]).contains("broken"));
         assert!(refused(&replaced("\"glimt\"", "\"other\"")).contains("some other safetensors file"));
         assert!(refused(&replaced("\\\"format\\\":1", "\\\"format\\\":9")).contains("version 9, expected 1"));
-        assert!(refused(&replaced("hybrid", "hybrod")).contains("its model is \"hybrod\""));
+        assert!(
+            refused(&replaced("hybrid", "hybrod")).contains("its model is \"hybrod\", expected ggx, hybrid,")
+        );
+        assert!(
+            refused(&replaced("hardgelu", "softplus"))
+                .contains("its activation is \"softplus\", expected hardgelu or relu")
+        );
         assert!(
             refused(&replaced("{\\\"name\\\":\\\"a\\\"", "{\\\"nome\\\":\\\"a\\\""))
                 .contains("metadata is broken")
@@ -609,7 +732,7 @@ mod tests {
     fn a_path_that_cannot_be_written_leaves_nothing_behind() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("missing").join("lib.safetensors");
-        let message = Library::new(&path, libraries().remove(0)).unwrap().save().unwrap_err().to_string();
+        let message = Library::new(&path, library_of(Kind::Ggx)).unwrap().save().unwrap_err().to_string();
         assert!(message.contains("cannot write"), "{message}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         // Renaming onto a directory, a device or a pipe must not be tried.

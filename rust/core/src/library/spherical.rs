@@ -208,7 +208,8 @@ fn networks(file: &Tensors, inputs: usize) -> Result<Vec<Arc<Network>>, String> 
     }
     let network = |index| {
         let layers = stacks.iter().map(|stack| layer_at(stack, Some(count), index));
-        Network::new(layers.collect::<Result<_, _>>()?, inputs, Activation::HardGelu).map(Arc::new)
+        let activation = file.activation_or(Activation::HardGelu);
+        Network::new(layers.collect::<Result<_, _>>()?, inputs, activation).map(Arc::new)
     };
     (0..count).map(network).collect()
 }

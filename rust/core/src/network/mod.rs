@@ -57,6 +57,24 @@ pub enum Activation {
 }
 
 impl Activation {
+    /// Every one.
+    pub const ALL: [Activation; 2] = [Activation::HardGelu, Activation::Relu];
+
+    /// The name as files spell it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Activation::HardGelu => "hardgelu",
+            Activation::Relu => "relu",
+        }
+    }
+
+    /// The one of that name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Activation> {
+        Activation::ALL.into_iter().find(|activation| activation.name() == name)
+    }
+
     /// The function's value.
     #[must_use]
     pub fn value(self, x: f32) -> f32 {

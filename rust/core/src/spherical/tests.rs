@@ -36,14 +36,18 @@ fn waves(layout: &Layout) -> Vec<f32> {
 }
 
 /// A network whose outputs are bright in most directions.
-fn network(form: Form) -> Arc<Network> {
-    let dark = patterned(&[form.inputs(), 32, 32, 3], form.inputs(), Activation::HardGelu);
+fn network(form: Form, activation: Activation) -> Arc<Network> {
+    let dark = patterned(&[form.inputs(), 32, 32, 3], form.inputs(), activation);
     let mut layers = dark.layers().to_vec();
     layers[2].bias = vec![3.0, 2.5, 2.0];
-    Arc::new(Network::new(layers, form.inputs(), Activation::HardGelu).unwrap())
+    Arc::new(Network::new(layers, form.inputs(), activation).unwrap())
 }
 
 pub fn material(form: Form, kind: StoreKind) -> Spherical {
+    material_with(form, kind, Activation::HardGelu)
+}
+
+pub fn material_with(form: Form, kind: StoreKind, activation: Activation) -> Spherical {
     let layout = Arc::new(Layout::new(form).unwrap());
     let k = usize::from(form.features);
     let store = match kind {
@@ -58,7 +62,7 @@ pub fn material(form: Form, kind: StoreKind) -> Spherical {
             Store::new(kind, &waves(&layout), k, &tables)
         }
     };
-    Spherical::new(layout, network(form), Features { store, links: None }, 6.0).unwrap()
+    Spherical::new(layout, network(form, activation), Features { store, links: None }, 6.0).unwrap()
 }
 
 /// Quasi-random pairs, a few of them at the poles, on the axes and near the horizon.
