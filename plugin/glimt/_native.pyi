@@ -57,6 +57,9 @@ class Material:
     def kind(self) -> str:
         """Model or measured format, as in ``Library.kind``."""
     @property
+    def oddities(self) -> list[str]:
+        """What is odd about the file of a measurement, and what was made of it; empty for models."""
+    @property
     def kd(self) -> tuple[float, float, float] | None:
         """Diffuse albedo, linear RGB; None where the model has no analytic part."""
     @property

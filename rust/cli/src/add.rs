@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use glimt_core::Library;
-use glimt_fit::add::{ADD_STEPS, add};
-use glimt_fit::doubts;
+use glimt_fit::add::{ADD_STEPS, add, numbers_each};
+use glimt_fit::{doubts, doubts_of};
 
 use crate::fitting::{self, HoldOut, Watch};
 use crate::{inputs, output};
@@ -48,15 +48,14 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
     let inputs = fitting::inputs(&sources, &fitting::command(&files), true)?;
 
-    for doubt in doubts(&inputs) {
-        eprintln!("warning: {doubt}");
-    }
+    fitting::warn(&doubts(&inputs, Some(numbers_each(&library, &inputs))));
     let mut watch = Watch::new()?;
     let mut report = |progress: &_, _: Option<&_>| watch.report(progress);
     let Some(mut added) = add(&library, &inputs, arguments.steps, arguments.seed, &mut report)? else {
         bail!("stopped; {} is as it was", path.display());
     };
     watch.finish();
+    fitting::warn(&doubts_of(&added));
     fitting::measure(&mut added, &inputs, &held);
     Library::new(path, [library.entries(), &added].concat())?.save()?;
     fitting::print_errors(path, &added, arguments.json)

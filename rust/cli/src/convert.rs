@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use glimt_core::library::Entry;
 use glimt_core::{Library, Material};
 use glimt_files::Source;
+use glimt_measured::Colours;
 use glimt_measured::utia::Encoding;
 use rayon::prelude::*;
 
@@ -17,7 +18,8 @@ use crate::{Usage, inputs, output};
 /// OUT is a file, whose extension says the format, or a directory, into which every material is written
 /// as a file of its own. MERL stores isotropic, reciprocal materials: the half vector stays in one plane,
 /// and both orders of light and view are averaged. RGL stores any material, and
-/// Mitsuba's own `measured` renders it. UTIA stores directions 15° and 7.5° apart.
+/// Mitsuba's own `measured` renders it, in RGB or, with --spectral, in spectral variants; pbrt-v4 reads the latter.
+/// UTIA stores directions 15° and 7.5° apart.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Files, directories or globs to read, and last the file or directory to write
@@ -29,6 +31,9 @@ pub struct Arguments {
     /// Format to write, where the extension of OUT does not say it
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: Option<Format>,
+    /// Write spectra instead of linear sRGB: smooth ones with the same colours (RGL)
+    #[arg(long)]
+    spectral: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -37,7 +42,7 @@ enum Format {
     Library,
     /// MERL table (.binary), 33 MB
     Merl,
-    /// RGL table (.bsdf), 4 MB if isotropic, else 29 MB
+    /// RGL table (.bsdf), 4 MB if isotropic, else 29 MB; several times as much with --spectral
     Rgl,
     /// UTIA table (.bin), 2 MB
     Utia,
@@ -73,6 +78,11 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return Err(Usage(format!("{} is all that was given, expected IN and OUT", out.display())).into());
     }
     let format = arguments.to.map_or_else(|| Format::of(out), Ok)?;
+    if arguments.spectral && format != Format::Rgl {
+        let extension = format.extension();
+        return Err(Usage(format!("--spectral means nothing for .{extension} files; expected .bsdf")).into());
+    }
+    let colours = if arguments.spectral { Colours::Spectra } else { Colours::Rgb };
     let into_directory = out.is_dir() || out.as_os_str().as_encoded_bytes().ends_with(b"/");
     if format == Format::Library {
         output::check_writable(out)?;
@@ -84,10 +94,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let sources = inputs::open(inputs)?;
     let materials = materials(&sources, arguments.material.as_deref())?;
     if into_directory {
-        return write_tables(out, &materials, format);
+        return write_tables(out, &materials, format, colours);
     }
     match materials[..] {
-        [(ref name, brdf)] => write_table(out, name, brdf, format),
+        [(ref name, brdf)] => write_table(out, name, brdf, format, colours),
         _ => bail!(
             "{} holds one material, but there are {}; name one with --material, or give a directory and --to",
             out.display(),
@@ -122,7 +132,12 @@ fn write_library(path: &Path, sources: Vec<Source>, only: Option<&str>) -> Resul
 }
 
 /// A file for each material.
-fn write_tables(directory: &Path, materials: &[(String, &Material)], format: Format) -> Result<()> {
+fn write_tables(
+    directory: &Path,
+    materials: &[(String, &Material)],
+    format: Format,
+    colours: Colours,
+) -> Result<()> {
     let cannot_write = || format!("cannot write {}", directory.display());
     std::fs::create_dir_all(directory).with_context(cannot_write)?;
     let path = |name: &str| directory.join(format!("{name}.{}", format.extension()));
@@ -137,18 +152,25 @@ fn write_tables(directory: &Path, materials: &[(String, &Material)], format: For
     }
     let bar = output::progress_bar(materials.len(), "write");
     materials.par_iter().try_for_each(|(name, brdf)| {
-        write_table(&path(name), name, brdf, format)?;
+        write_table(&path(name), name, brdf, format, colours)?;
         bar.inc(1);
         Ok(())
     })
 }
 
-fn write_table(path: &Path, name: &str, brdf: &Material, format: Format) -> Result<()> {
+fn write_table(path: &Path, name: &str, brdf: &Material, format: Format, colours: Colours) -> Result<()> {
+    if format == Format::Merl && !brdf.is_isotropic() {
+        eprintln!(
+            "warning: \"{name}\" is anisotropic, and MERL stores isotropic materials: {} holds its half vectors of \
+             one azimuth; .bsdf and .bin keep the others",
+            path.display()
+        );
+    }
     match format {
         Format::Merl => glimt_measured::write_merl(path, brdf)?,
         Format::Rgl => {
             let description = format!("{} model \"{name}\", written by glimt", brdf.kind());
-            glimt_measured::write_rgl(path, brdf, brdf.is_isotropic(), &description)?;
+            glimt_measured::write_rgl(path, brdf, brdf.is_isotropic(), colours, &description)?;
         }
         Format::Utia => glimt_measured::write_utia(path, brdf, Encoding::default())?,
         Format::Library => unreachable!("a library is written as a whole"),

@@ -19,7 +19,7 @@ use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
 use glimt_fit::train::Schedule;
 use glimt_fit::{
     FactorOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth,
-    doubts, fit, fit_factor,
+    doubts, doubts_of, doubts_of_tables, fit, fit_factor,
 };
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
@@ -350,9 +350,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let inputs = truths.inputs(arguments)?;
     let (options, note) = arguments.options(&inputs)?;
 
-    for doubt in doubts(&inputs) {
-        eprintln!("warning: {doubt}");
-    }
+    let isotropic = inputs.iter().all(|input| input.isotropic);
+    let doubts = doubts(&inputs, options.numbers_each(inputs.len(), isotropic));
+    truths.go_on()?;
+    fitting::warn(&doubts);
     let mut watch = Watch::new()?;
     let mut keeper = Keeper::new(&checkpoint_path);
     let outcome = fit(&inputs, &options, resume, &mut |progress, state| {
@@ -363,9 +364,9 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             keeper.keep(|| Checkpoint::new(&inputs, &options, state.clone()));
         }
         watch.report(progress)
-    })?;
+    });
     truths.go_on()?;
-    let mut entries = match outcome {
+    let mut entries = match outcome? {
         Outcome::Done(entries) => entries,
         Outcome::Stopped(None) => bail!("stopped before there was anything to save"),
         Outcome::Stopped(Some(checkpoint)) => {
@@ -379,7 +380,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     watch.finish();
-    keep(arguments, &mut entries, &inputs, &held)?;
+    keep(arguments, &mut entries, &truths, &inputs, &held)?;
     if arguments.resume || keeper.kept {
         // The library is written, so that a checkpoint which stays does no harm.
         let _ = std::fs::remove_file(&checkpoint_path);
@@ -396,6 +397,9 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
     output::check_writable(path)?;
     let truths = Truths::open(arguments)?;
     let inputs = truths.inputs(arguments)?;
+    let doubts = [doubts(&inputs, None), doubts_of_tables(&inputs)].concat();
+    truths.go_on()?;
+    fitting::warn(&doubts);
     let bar = output::progress_bar(inputs.len(), "fit");
     let mut entries = Vec::new();
     for input in &inputs {
@@ -414,7 +418,7 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
         entries.push(Entry { name: input.name.clone(), material: fit.factor.into(), origin });
         bar.inc(1);
     }
-    keep(arguments, &mut entries, &inputs, &BTreeMap::new())?;
+    keep(arguments, &mut entries, &truths, &inputs, &BTreeMap::new())?;
     fitting::print_errors(path, &entries, arguments.json)
 }
 
@@ -422,11 +426,14 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
 fn keep(
     arguments: &Arguments,
     entries: &mut [Entry],
+    truths: &Truths,
     inputs: &[Input],
     held: &BTreeMap<String, Samples>,
 ) -> Result<()> {
     Library::new(&arguments.output, entries.to_vec())?.save()?;
+    fitting::warn(&doubts_of(entries));
     fitting::measure(entries, inputs, held);
+    truths.go_on()?;
     Library::new(&arguments.output, entries.to_vec())?.save()?;
     Ok(())
 }

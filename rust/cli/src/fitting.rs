@@ -12,7 +12,7 @@ use glimt_core::library::{Entry, Origin};
 use glimt_core::{Brdf, Material};
 use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::Progress;
-use glimt_fit::{Input, Truth, held_out};
+use glimt_fit::{Doubt, Input, Truth, held_out};
 use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
 use indicatif::ProgressBar;
@@ -98,6 +98,13 @@ pub fn command(files: &[PathBuf]) -> String {
         }
     }
     words.join(" ")
+}
+
+/// Says what is hardly meant, a line each.
+pub fn warn(doubts: &[Doubt]) {
+    for doubt in doubts {
+        eprintln!("warning: {doubt}");
+    }
 }
 
 /// Shows the progress of a fit on a terminal, and stops it when the user wants that.

@@ -9,7 +9,7 @@ use glimt_core::library::{Entry, Origin};
 use glimt_core::network::Network;
 use glimt_core::sampler::Sampler;
 use glimt_core::tabulated::Tabulated;
-use glimt_core::{Library, Material, Model, Vec3};
+use glimt_core::{Library, Material, Model, Oddity, Vec3};
 use glimt_files::{Samples, Source};
 use serde::Serialize;
 
@@ -66,18 +66,16 @@ enum Content {
         material: String,
         description: String,
         isotropic: bool,
-        /// Negative values in the file, which f takes as 0.
-        clamped: usize,
+        /// What is odd about the file, and what was made of it.
+        odd: Vec<Oddity>,
         sampler: SamplerInfo,
     },
     Samples {
         material: String,
         /// Samples above the horizon.
         samples: usize,
-        /// Negative values in the file, which are taken as 0.
-        clamped: usize,
-        /// Samples at the horizon, which are left out.
-        grazing: usize,
+        /// What is odd about the file, and what was made of it.
+        odd: Vec<Oddity>,
         /// Largest angle between the normal and a direction, in degrees: of the lights, of the views.
         largest_theta: [f32; 2],
         /// Mean of f.
@@ -137,7 +135,7 @@ impl Info {
         let mut text = String::new();
         let head = format!("{}: {}", self.file.display(), self.kind);
         match &self.content {
-            Content::Measured { material, description, isotropic, clamped, sampler } => {
+            Content::Measured { material, description, isotropic, odd, sampler } => {
                 line(&mut text, &format!("{head} measurement, {} bytes", thousands(self.bytes)));
                 line(&mut text, &format!("  material     {material}"));
                 if !description.is_empty() {
@@ -145,10 +143,10 @@ impl Info {
                 }
                 let symmetry = if *isotropic { "isotropic" } else { "anisotropic" };
                 line(&mut text, &format!("  symmetry     {symmetry}"));
-                line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
+                odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
                 line(&mut text, &format!("  sampler      {}", sampler.text()));
             }
-            Content::Samples { material, samples, clamped, grazing, largest_theta, mean, largest } => {
+            Content::Samples { material, samples, odd, largest_theta, mean, largest } => {
                 let samples = thousands(*samples as u64);
                 line(&mut text, &format!("{head}, {samples} pairs, {} bytes", thousands(self.bytes)));
                 line(&mut text, &format!("  material     {material}"));
@@ -156,8 +154,7 @@ impl Info {
                 line(&mut text, &format!("  from normal  light up to {light:.1}°, view up to {view:.1}°"));
                 let rgb = |f: &[f32; 3]| f.map(|f| format!("{f:.4}")).join(" ");
                 line(&mut text, &format!("  f            mean {}, largest {}", rgb(mean), rgb(largest)));
-                line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
-                line(&mut text, &format!("  horizon      {} samples, left out", thousands(*grazing as u64)));
+                odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
             }
             Content::Library { form, network, bytes_per_material, shared_bytes, materials } => {
                 let count = materials.len();
@@ -206,7 +203,7 @@ fn table_content(name: &str, material: &Tabulated) -> Content {
         material: name.to_owned(),
         description: table.description().to_owned(),
         isotropic: table.is_isotropic(),
-        clamped: table.clamped(),
+        odd: table.oddities().to_vec(),
         sampler: SamplerInfo::new(material.sampler()),
     }
 }
@@ -220,8 +217,7 @@ fn samples_content(material: String, samples: &Samples) -> Content {
     Content::Samples {
         material,
         samples: samples.len(),
-        clamped: samples.clamped,
-        grazing: samples.grazing,
+        odd: samples.oddities(),
         largest_theta: [lowest(&samples.light), lowest(&samples.view)],
         mean: std::array::from_fn(mean),
         largest: samples.f.iter().fold(Vec3::ZERO, |a, &f| a.max(f)).to_array(),

@@ -102,8 +102,7 @@ impl Simulated {
         }
         let mut answer = vec![0; size_of_val(out)];
         let mut pipe = self.pipe.lock().unwrap_or_else(PoisonError::into_inner);
-        let asked = pipe.requests.write_all(&request).and_then(|()| pipe.requests.flush());
-        match asked.and_then(|()| pipe.answers.read_exact(&mut answer)) {
+        match pipe.ask(&request, &mut answer) {
             Ok(()) => {
                 for (f, bytes) in out.iter_mut().zip(answer.chunks_exact(size_of::<Vec3>())) {
                     let number =
@@ -111,11 +110,37 @@ impl Simulated {
                     *f = Vec3::new(number(0), number(4), number(8));
                 }
             }
-            Err(error) => {
+            Err(reason) => {
                 out.fill(Vec3::ZERO);
-                let _ = self.failure.set(format!("the simulation of \"{}\" ended: {error}", self.name));
+                let _ = self.failure.set(format!("the simulation of \"{}\" {reason}", self.name));
             }
         }
+    }
+}
+
+/// Longest message of an exception that is passed on, in bytes.
+const MOST_MESSAGE: u64 = 4096;
+
+impl Pipe {
+    /// Sends a request and fills `answer`.
+    ///
+    /// # Errors
+    /// In words, what the BSDF threw, or how the process ended.
+    fn ask(&mut self, request: &[u8], answer: &mut [u8]) -> Result<(), String> {
+        let mut length = [0; 4];
+        let asked = self.requests.write_all(request).and_then(|()| self.requests.flush());
+        let answered = asked.and_then(|()| self.answers.read_exact(&mut length));
+        let length = u32::from_le_bytes(length);
+        if answered.is_ok() && length > 0 {
+            let mut message = Vec::new();
+            // A message that is cut short is better than none.
+            let _ = self.answers.by_ref().take(u64::from(length).min(MOST_MESSAGE)).read_to_end(&mut message);
+            return Err(format!("threw {}", String::from_utf8_lossy(&message)));
+        }
+        answered.and_then(|()| self.answers.read_exact(answer)).map_err(|error| match self.child.wait() {
+            Ok(status) => format!("ended with {status}"),
+            Err(_) => format!("ended: {error}"),
+        })
     }
 }
 

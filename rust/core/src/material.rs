@@ -15,6 +15,7 @@ use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::microfacet::Microfacet;
 use crate::model::Model;
 use crate::network::Network;
+use crate::oddity::Oddity;
 use crate::sampler::{Sampler, SamplerChoice};
 use crate::simd::Lane3;
 use crate::table_sampler::TableSampler;
@@ -187,6 +188,12 @@ impl Material {
         with_model!(self, model => model.is_reciprocal())
     }
 
+    /// What is odd about the file that a measurement was read from; empty for models.
+    #[must_use]
+    pub fn oddities(&self) -> &[Oddity] {
+        if let Material::Tabulated(measured) = self { measured.table().oddities() } else { &[] }
+    }
+
     /// See [`Model::with_microfacet`].
     ///
     /// # Errors
@@ -244,6 +251,10 @@ impl Brdf for Material {
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         with_model!(self, model => model.eval_batch(light, view, out));
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        with_model!(self, model => model.has_data(light, view))
     }
 }
 

@@ -79,6 +79,12 @@ impl Material {
         self.kind
     }
 
+    /// What is odd about the file that a measurement was read from, and what was made of it, in words.
+    #[getter]
+    fn oddities(&self) -> Vec<String> {
+        self.material.oddities().iter().map(ToString::to_string).collect()
+    }
+
     /// Diffuse albedo, linear RGB; None where the model has no analytic part.
     #[getter]
     fn kd(&self) -> Option<(f32, f32, f32)> {
