@@ -9,6 +9,7 @@ use glimt_core::library::Entry;
 use glimt_core::lobes::Lobes;
 use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_disk::printable;
 use glimt_files::Source;
 
 use crate::packet::eval_packet_address;
@@ -149,7 +150,9 @@ pub fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
 
 /// What `f` returns; a panic becomes an error, for the same reason.
 fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    guarded(Err("internal error (a panic, see the standard error stream)".into()), f)
+    let answer = guarded(Err("internal error (a panic, see the standard error stream)".into()), f);
+    // Mitsuba writes it to a terminal.
+    answer.map_err(|message| printable(&message).into_owned())
 }
 
 pub fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>, String> {
