@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use glimt_disk::printable;
 use serde::Serialize;
 
 use crate::run::{Checked, Sight};
@@ -134,7 +135,7 @@ impl Judged {
         let promises = self.claims.text();
         let mut text = format!(
             "{}: {verdict} ({:.1} million answers, {:.1} s; {promises})\n",
-            self.name,
+            printable(&self.name),
             self.answers as f64 / 1e6,
             self.seconds
         );

@@ -2,13 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use clap::builder::NonEmptyStringValueParser;
 use glimt_check::{BrdfSubject, Claims, Options, Report};
 use glimt_core::Material;
 use glimt_core::sampler::SamplerChoice;
 use glimt_files::Source;
 
 use crate::edit::{self, Edit};
+use crate::output::{Format, Overwrite};
 use crate::{inputs, output};
 
 /// Test materials: sampling, weights, energy, symmetry, the horizon
@@ -19,10 +21,10 @@ use crate::{inputs, output};
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Model libraries, measurements or NBRDF weights; directories and globs of them
-    #[arg(required = true, value_name = "FILE")]
+    #[arg(required = true, value_name = "FILE", value_parser = inputs::file())]
     files: Vec<PathBuf>,
     /// Name of one material; all if not given
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     material: Option<String>,
     /// Test the materials with this change of their analytic part: kd=R,G,B, eta=N or alpha=A; may be given several
     /// times. One more test then asks whether the edit keeps the energy
@@ -35,8 +37,10 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Write a page with the pictures behind every verdict
-    #[arg(long, value_name = "PAGE.html")]
+    #[arg(long, value_name = "PAGE.html", value_parser = inputs::file())]
     html: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Samples for each view
     #[arg(long, default_value_t = Options::FULL.samples as u32, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..=10_000_000))]
     samples: u32,
@@ -48,11 +52,12 @@ pub struct Arguments {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(page) = &arguments.html {
-        output::check_writable(page)?;
+        arguments.overwrite.check(page, Format::Page)?;
     }
     let options = Options { samples: arguments.samples as usize, seed: arguments.seed, ..Options::FULL };
     let mut materials = Vec::new();
-    for source in &inputs::open(&arguments.files)? {
+    let outputs: Vec<&Path> = arguments.html.iter().map(PathBuf::as_path).collect();
+    for source in &inputs::open(&arguments.files, &outputs)? {
         materials.extend(materials_of(source, arguments)?);
     }
     let edited = materials
@@ -78,19 +83,19 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         checked.push(of_subject);
     }
     let report = Report::new(checked);
-    output::print(&if arguments.json { report.json() + "\n" } else { report.text() })?;
+    // First, as nobody need read the table to the end.
     if let Some(page) = &arguments.html {
-        write_page(page, &report)?;
+        output::write(page, glimt_check::page::html(&report).as_bytes())?;
+    }
+    if arguments.json {
+        output::print_raw(&(report.json() + "\n"))?;
+    } else {
+        output::print(&report.text())?;
     }
     if !report.passed() {
         bail!("{} of {} failed: {}", report.failed().len(), subjects.len(), report.failed().join(", "));
     }
     Ok(())
-}
-
-fn write_page(path: &Path, report: &Report) -> Result<()> {
-    std::fs::write(path, glimt_check::page::html(report))
-        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// The materials of a file by name, or the one that was asked for, with the sampler that was.

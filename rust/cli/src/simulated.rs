@@ -46,6 +46,9 @@ impl Simulated {
     /// # Errors
     /// Python, Mitsuba or the package is not installed; the scene cannot be loaded or has no such BSDF.
     pub fn start(scene: &Path, bsdf: Option<&str>, command: &str) -> Result<Simulated> {
+        if scene.to_str().is_none() {
+            bail!("{} is no name in UTF-8, which Mitsuba needs", scene.display());
+        }
         let python = python();
         let mut process = Command::new(&python);
         process.args(["-m", "glimt.simulate"]).arg(scene).args(bsdf);
@@ -60,7 +63,9 @@ impl Simulated {
         answers.read_line(&mut line).context("the simulation answers no text")?;
         let (name, anisotropic) = match serde_json::from_str(&line) {
             Ok(Hello::Ready { name, anisotropic }) => (name, anisotropic),
-            Ok(Hello::Failed { error }) => bail!("{error}"),
+            Ok(Hello::Failed { error }) => {
+                bail!("{}", error.split_whitespace().collect::<Vec<_>>().join(" "))
+            }
             Err(_) => {
                 let status = child.wait()?;
                 bail!(

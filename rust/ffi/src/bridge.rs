@@ -10,6 +10,7 @@ use glimt_core::library::{Entry, mix_name};
 use glimt_core::lobes::Lobes;
 use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_disk::printable;
 use glimt_files::Source;
 
 use crate::packet::eval_packet_address;
@@ -154,7 +155,9 @@ pub fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
 
 /// What `f` returns; a panic becomes an error, for the same reason.
 fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    guarded(Err("internal error (a panic, see the standard error stream)".into()), f)
+    let answer = guarded(Err("internal error (a panic, see the standard error stream)".into()), f);
+    // Mitsuba writes it to a terminal.
+    answer.map_err(|message| printable(&message).into_owned())
 }
 
 pub fn open(path: &str, name: &str, mix: &str, weight: f32, sampler: &str) -> Result<Box<Material>, String> {

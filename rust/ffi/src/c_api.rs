@@ -11,6 +11,7 @@ use std::ffi::{CStr, CString, c_char};
 use std::ptr;
 
 use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
+use glimt_disk::printable;
 use glimt_files::Source;
 
 use crate::bridge::guarded;
@@ -120,8 +121,8 @@ thread_local! {
 }
 
 /// Keeps the message for `glimt_last_error`.
-pub(crate) fn fail(status: glimt_status, message: impl Into<Vec<u8>>) -> glimt_status {
-    let mut message = message.into();
+pub(crate) fn fail(status: glimt_status, message: impl Into<String>) -> glimt_status {
+    let mut message = printable(&message.into()).into_owned().into_bytes();
     message.retain(|&byte| byte != 0);
     // A thread that is ending has no place for messages left, and nobody who could ask for them.
     let _ = LAST_ERROR.try_with(|last| *last.borrow_mut() = CString::new(message).unwrap_or_default());

@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use glimt_core::library::write_whole;
+use glimt_disk::write_whole;
 use glimt_measured::file::read_regular;
 use half::f16;
 

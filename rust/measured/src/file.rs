@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-use glimt_core::library::write_whole;
+use glimt_disk::write_whole;
 
 use crate::error::Error;
 
