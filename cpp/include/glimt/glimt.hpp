@@ -10,6 +10,12 @@
 #ifndef GLIMT_HPP
 #define GLIMT_HPP
 
+#if __cplusplus < 201703L && (!defined(_MSVC_LANG) || _MSVC_LANG < 201703L)
+#error "glimt/glimt.hpp needs C++17 or later (-std=c++17); older C++ can use the C interface, glimt/glimt.h"
+#elif !defined(__cpp_exceptions) && !defined(_CPPUNWIND)
+#error "glimt/glimt.hpp reports errors as exceptions; under -fno-exceptions use the C interface, glimt/glimt.h"
+#else
+
 #include <array>
 #include <cstddef>
 #include <memory>
@@ -186,4 +192,5 @@ private:
 
 } // namespace glimt
 
+#endif // C++17 with exceptions
 #endif

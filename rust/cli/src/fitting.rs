@@ -107,7 +107,7 @@ pub fn command(files: &[PathBuf]) -> String {
 /// Says what is hardly meant, a line each.
 pub fn warn(doubts: &[Doubt]) {
     for doubt in doubts {
-        eprintln!("warning: {doubt}");
+        output::note(&format!("warning: {doubt}"));
     }
 }
 

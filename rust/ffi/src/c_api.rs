@@ -8,13 +8,17 @@
 
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr;
 
 use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
 use glimt_disk::printable;
 use glimt_files::Source;
 
-use crate::bridge::guarded;
+/// What `f` returns, or `fallback` where it panics: a panic that reached C would end the process.
+fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
+    catch_unwind(AssertUnwindSafe(f)).unwrap_or(fallback)
+}
 
 /// What a function answers.
 #[repr(C)]
