@@ -7,6 +7,7 @@ mod check;
 mod library;
 mod material;
 mod parallel;
+mod pickle;
 
 use pyo3::prelude::*;
 
@@ -31,5 +32,6 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_class::<material::Material>()?;
     module.add_class::<check::CheckReport>()?;
     module.add_function(wrap_pyfunction!(check::check, module)?)?;
+    module.add_function(wrap_pyfunction!(pickle::_restore_library, module)?)?;
     module.add_function(wrap_pyfunction!(library::load, module)?)
 }
