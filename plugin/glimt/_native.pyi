@@ -18,7 +18,12 @@ def load(path: str | PathLike[str], *, sampler: str | None = None) -> Library:
     """
 
 class Library:
-    """The materials of a file. Immutable."""
+    """The materials of a file. Immutable.
+
+    Pickles as the bytes of a model library. What such a library cannot hold, measurements and scattered
+    samples, pickles as the absolute path and the SHA-256 of its file, which is read again where the pickle
+    is loaded; a file that has changed or is not there raises ``Error``.
+    """
 
     @property
     def materials(self) -> list[str]:
@@ -43,6 +48,8 @@ class Library:
 
 class Material:
     """A material: a fitted model, or a measured table as it is. Immutable.
+
+    Pickles with its edits and its sampler; a measurement by its file, as ``Library`` says.
 
     Directions are unit vectors in the local frame with the normal +z, and point away from the surface:
     ``light`` to where the energy comes from, ``view`` to where it goes. Arrays (n, 3), or (3,) for one;

@@ -157,7 +157,14 @@ public:
     }
 
     void parameters_changed(const std::vector<std::string> & /*keys*/ = {}) override {
-        m_material = share(edit(*m_material));
+        std::shared_ptr<const Material> edited;
+        try {
+            edited = share(edit(*m_material));
+        } catch (...) {
+            restore();
+            throw;
+        }
+        m_material = std::move(edited);
         bind();
     }
 
@@ -354,6 +361,27 @@ private:
         return checked([&] { return material.edited(microfacet, { latent.data(), latent.size() }); });
     }
 
+    /// Takes back the values of an update that was refused: Mitsuba has put them in place already.
+    void restore() {
+        put_back(m_kd, m_accepted.kd);
+        put_back(m_eta, m_accepted.eta);
+        put_back(m_alpha, m_accepted.alpha);
+        put_back(m_latent, m_accepted.latent);
+    }
+
+    template <typename Value> static void put_back(Value &value, const Value &accepted) {
+        if constexpr (dr::is_jit_v<Value> && dr::depth_v<Value> > 1) {
+            for (size_t i = 0; i < Value::Size; ++i)
+                put_back(value[i], accepted[i]);
+        } else if constexpr (dr::is_jit_v<Value>) {
+            // The variable that was there keeps the gradients that were enabled since.
+            if (value.index() != accepted.index())
+                value = accepted;
+        } else {
+            value = accepted;
+        }
+    }
+
     /// The value of a parameter, which is one number for the whole BSDF.
     static float host(const Float &value, const char *name) {
         if (dr::width(value) != 1)
@@ -378,6 +406,7 @@ private:
         m_room = dr::load<FloatStorage>(room.data(), room.size());
         // Values that are not literals, so that a change of them compiles no new kernel.
         dr::make_opaque(m_lobes.alpha, m_lobes.specular_weight, m_kd, m_eta, m_alpha, m_latent, m_room);
+        m_accepted = { m_kd, m_eta, m_alpha, m_latent };
 
         m_components.assign(1, BSDFFlags::GlossyReflection | BSDFFlags::FrontSide);
         if (!m_material->is_isotropic())
@@ -598,6 +627,13 @@ private:
     FloatStorage m_latent;
     /// What an edit leaves of the network's correction, see rust/core/src/edit.rs.
     FloatStorage m_room;
+
+    /// The parameters of \c m_material, to return to when an update is refused.
+    struct {
+        Color3f kd, eta;
+        Vector2f alpha;
+        FloatStorage latent;
+    } m_accepted;
 
     MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_room, m_lobes, m_call, m_sampler_call, m_primaries)
 };

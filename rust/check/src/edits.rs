@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 use glimt_core::ggx::Ggx;
-use glimt_core::{Brdf, Material, SampleBrdf};
+use glimt_core::{Material, SampleBrdf};
 
 use crate::verdict::{Finding, Measure, Test};
 use crate::views::View;
@@ -38,22 +38,42 @@ fn albedo(material: &Material, view: Vec3) -> [f64; 3] {
     sum.map(|sum| sum / SAMPLES as f64)
 }
 
-/// [`Test::EditEnergy`] of `edited`, which was made of `before`: one finding for each view.
-#[must_use]
-pub fn energy(before: &Material, edited: &Material) -> Vec<Finding> {
-    let mut most = greatest(&albedos(before, edited)).map(|albedo| albedo.max(1.0));
-    if let Some(analytic) = edited.microfacet().and_then(|p| Ggx::new(*p).ok()) {
-        let analytic = greatest(&albedos(&analytic.into(), edited));
-        most = std::array::from_fn(|c| most[c].max(analytic[c]));
+/// What an edited material may reflect.
+pub struct EditLaw {
+    /// Largest albedo of the material before the edit, and 1.
+    most: [f64; 3],
+}
+
+impl EditLaw {
+    /// For edits of `before`, and mixes of it with others.
+    #[must_use]
+    pub fn new(before: &Material) -> EditLaw {
+        EditLaw { most: greatest(&albedos(before, before)).map(|albedo| albedo.max(1.0)) }
     }
-    let finding = |(view, albedo): (View, [f64; 3])| {
-        let excess = |c: usize| albedo[c] / most[c];
-        let channel = (0..3).max_by(|&a, &b| excess(a).total_cmp(&excess(b))).expect("three");
-        Finding::new(Test::EditEnergy, Measure::error(excess(channel), EDIT_EXCESS))
-            .at(view)
-            .note(format!("albedo {:.4}, at most {:.4}", albedo[channel], most[channel]))
-    };
-    albedos(edited, edited).into_iter().map(finding).collect()
+
+    /// For mixes of the materials of two laws.
+    #[must_use]
+    pub fn or(&self, other: &EditLaw) -> EditLaw {
+        EditLaw { most: std::array::from_fn(|c| self.most[c].max(other.most[c])) }
+    }
+
+    /// [`Test::EditEnergy`]: one finding for each view.
+    #[must_use]
+    pub fn findings(&self, edited: &Material) -> Vec<Finding> {
+        let mut most = self.most;
+        if let Some(analytic) = edited.microfacet().and_then(|p| Ggx::new(*p).ok()) {
+            let analytic = greatest(&albedos(&analytic.into(), edited));
+            most = std::array::from_fn(|c| most[c].max(analytic[c]));
+        }
+        let finding = |(view, albedo): (View, [f64; 3])| {
+            let excess = |c: usize| albedo[c] / most[c];
+            let channel = (0..3).max_by(|&a, &b| excess(a).total_cmp(&excess(b))).expect("three");
+            Finding::new(Test::EditEnergy, Measure::error(excess(channel), EDIT_EXCESS))
+                .at(view)
+                .note(format!("albedo {:.4}, at most {:.4}", albedo[channel], most[channel]))
+        };
+        albedos(edited, edited).into_iter().map(finding).collect()
+    }
 }
 
 fn greatest(albedos: &[(View, [f64; 3])]) -> [f64; 3] {

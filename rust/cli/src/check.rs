@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use clap::builder::NonEmptyStringValueParser;
+use glimt_check::edits::EditLaw;
 use glimt_check::{BrdfSubject, Claims, Options, Report};
 use glimt_core::Material;
 use glimt_core::sampler::SamplerChoice;
@@ -78,7 +79,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         // A material of a file always answers; the error is for subjects that live elsewhere.
         let mut of_subject = glimt_check::check(subject, &options).map_err(anyhow::Error::from_boxed)?;
         if !arguments.edits.is_empty() {
-            of_subject.findings.extend(glimt_check::edits::energy(&materials[i].1, &edited[i].1));
+            of_subject.findings.extend(EditLaw::new(&materials[i].1).findings(&edited[i].1));
         }
         checked.push(of_subject);
     }

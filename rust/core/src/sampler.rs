@@ -42,6 +42,16 @@ impl Sampler {
         }
     }
 
+    /// What to ask for to have it again; `None` for a measurement's own.
+    #[must_use]
+    pub fn choice(&self) -> Option<SamplerChoice> {
+        match self {
+            Sampler::Lobes(_) => Some(SamplerChoice::Lobes),
+            Sampler::Table(table) => Some(SamplerChoice::Table(table.resolution())),
+            Sampler::Warp(_) => None,
+        }
+    }
+
     /// The lobes, if it is made of them.
     #[must_use]
     pub fn lobes(&self) -> Option<Lobes> {
@@ -96,6 +106,15 @@ pub enum SamplerChoice {
     Table(Resolution),
 }
 
+impl fmt::Display for SamplerChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            SamplerChoice::Lobes => f.write_str("lobes"),
+            SamplerChoice::Table(resolution) => write!(f, "table:{resolution}"),
+        }
+    }
+}
+
 impl FromStr for SamplerChoice {
     type Err = String;
 
@@ -124,6 +143,9 @@ mod tests {
         assert_eq!("table".parse(), Ok(SamplerChoice::Table(Resolution::DEFAULT)));
         assert_eq!("table:paper".parse(), Ok(SamplerChoice::Table(Resolution::PAPER)));
         assert_eq!("table:16x32x8".parse(), Ok(table(16, 32, 8)));
+        for choice in [SamplerChoice::Lobes, SamplerChoice::Table(Resolution::PAPER), table(16, 32, 8)] {
+            assert_eq!(choice.to_string().parse(), Ok(choice));
+        }
         for wrong in ["tables", "table:", "table:16x32", "table:0x1x1", "table:9999x9999x9999", "lobes:4"] {
             let message = wrong.parse::<SamplerChoice>().unwrap_err();
             assert!(message.contains("expected"), "{message}");

@@ -14,6 +14,7 @@
 //! Model for Isotropic BRDFs*, 2016 (appendix: 90 views × 90 × 360 directions, 1° apart).
 
 use std::f32::consts::{FRAC_1_PI, FRAC_2_PI, FRAC_PI_2, PI, TAU};
+use std::fmt;
 use std::str::FromStr;
 
 use glam::{Vec2, Vec3};
@@ -60,6 +61,16 @@ impl Resolution {
     /// Directions of the view.
     fn slices(&self, isotropic: bool) -> usize {
         self.views * if isotropic { 1 } else { self.view_azimuths }
+    }
+}
+
+/// As [`Resolution::from_str`] reads it; azimuths of the view and the chart follow from the rest.
+impl fmt::Display for Resolution {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if *self == Resolution::PAPER {
+            return f.write_str("paper");
+        }
+        write!(f, "{}x{}x{}", self.views, self.rings, self.sectors)
     }
 }
 

@@ -3,6 +3,8 @@
 use std::ops::ControlFlow;
 
 use glam::Vec3;
+use glimt_check::Verdict;
+use glimt_check::edits::EditLaw;
 use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Library, Origin};
@@ -104,10 +106,10 @@ fn ggx_finds_the_parameters_that_made_the_data() {
     }
 }
 
-#[test]
-fn hybrid_and_its_variants_come_closer_than_their_analytic_part() {
+/// Every form of the hybrid, and how much closer than its analytic part it comes.
+fn recipes() -> [(&'static str, HybridOptions, f64); 8] {
     let shared = HybridOptions::shared(NET, 4);
-    let recipes = [
+    [
         ("shared", shared, 2.0),
         ("per material", HybridOptions::per_material(NET), 2.0),
         ("reciprocal", HybridOptions { inputs: InputChoice::Reciprocal, ..shared }, 2.0),
@@ -116,13 +118,39 @@ fn hybrid_and_its_variants_come_closer_than_their_analytic_part() {
         ("log multiplicative", HybridOptions { composition: Composition::LogMultiplicative, ..shared }, 2.0),
         ("analytic input", HybridOptions { analytic_input: true, ..shared }, 2.0),
         ("no analytic loss", HybridOptions { analytic_loss: None, joint: true, ..shared }, 1.5),
-    ];
-    for (name, recipe, factor) in recipes {
+    ]
+}
+
+#[test]
+fn hybrid_and_its_variants_come_closer_than_their_analytic_part_and_keep_their_energy_when_edited() {
+    for (name, recipe, factor) in recipes() {
         let entries = finish(&velvets(), &hybrid(recipe, 600));
         for (entry, target) in entries.iter().zip(&TARGETS) {
             let analytic = Ggx::new(*entry.material.microfacet().unwrap()).unwrap();
             let (whole, part) = (log_mae(target, &entry.material), log_mae(target, &analytic));
             assert!(whole * factor < part, "{name}, {}: {whole} against {part}", entry.name);
+            assert_edits_keep_their_energy(name, entry);
+        }
+    }
+}
+
+/// The law of edits, for each parameter at its ends and all of them together.
+fn assert_edits_keep_their_energy(name: &str, entry: &Entry) {
+    let p = *entry.material.microfacet().unwrap();
+    let law = EditLaw::new(&entry.material);
+    let edits = [
+        Microfacet { alpha: [0.02; 2], ..p },
+        Microfacet { alpha: [1.0; 2], ..p },
+        Microfacet { eta: [1.05; 3], ..p },
+        Microfacet { eta: [4.0; 3], ..p },
+        Microfacet { kd: [0.0; 3], ..p },
+        Microfacet { kd: [1.0; 3], ..p },
+        Microfacet { kd: [0.9; 3], eta: [2.5; 3], alpha: [0.3; 2] },
+        Microfacet { kd: [0.0; 3], eta: [4.0; 3], alpha: [0.02; 2] },
+    ];
+    for edit in edits {
+        for finding in law.findings(&entry.material.with_microfacet(edit).unwrap()) {
+            assert_eq!(finding.verdict(0.0), Verdict::Pass, "{name}, {}, {edit:?}: {finding:?}", entry.name);
         }
     }
 }

@@ -19,6 +19,7 @@ use pyo3::prelude::*;
 use pyo3::types::{IntoPyDict, PyDict, PyTuple};
 
 use crate::arrays::{Directions, Triples};
+use crate::parallel;
 
 /// The result of `check`.
 #[pyclass(frozen, module = "glimt")]
@@ -57,6 +58,9 @@ impl CheckReport {
 /// Puts objects through the conformance tests; what they must have is in `glimt.check.MitsubaSubject`.
 ///
 /// An exception of a subject ends the run.
+///
+/// # Errors
+/// `glimt.Error` in a fork of a process that used threads.
 #[pyfunction]
 #[pyo3(signature = (subjects, *, samples=None, seed=1))]
 pub fn check(
@@ -65,6 +69,11 @@ pub fn check(
     samples: Option<usize>,
     seed: u64,
 ) -> PyResult<CheckReport> {
+    if parallel::is_forked() {
+        let reason = "check() does not run in a fork of a process that computed with several threads; start the \
+                      process with multiprocessing's \"spawn\"";
+        return Err(crate::error(reason));
+    }
     let mut checked = Vec::new();
     for object in subjects {
         let is_slow: bool = object.getattr("is_slow")?.extract()?;

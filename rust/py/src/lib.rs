@@ -7,6 +7,7 @@ mod check;
 mod library;
 mod material;
 mod parallel;
+mod pickle;
 mod write;
 
 use glimt_disk::printable;
@@ -35,5 +36,6 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check::check, module)?)?;
     module.add_function(wrap_pyfunction!(write::probe, module)?)?;
     module.add_function(wrap_pyfunction!(write::write_whole, module)?)?;
+    module.add_function(wrap_pyfunction!(pickle::_restore_library, module)?)?;
     module.add_function(wrap_pyfunction!(library::load, module)?)
 }

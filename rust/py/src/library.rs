@@ -1,6 +1,7 @@
 //! `glimt.load` and `glimt.Library`.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use glimt_core::sampler::SamplerChoice;
 use glimt_files::Source;
@@ -8,6 +9,7 @@ use pyo3::prelude::*;
 
 use crate::error;
 use crate::material::{Material, parse_sampler};
+use crate::pickle::{self, SourceFile, State};
 
 /// Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights.
 ///
@@ -16,15 +18,17 @@ use crate::material::{Material, parse_sampler};
 #[pyo3(signature = (path, *, sampler=None))]
 pub fn load(py: Python, path: PathBuf, sampler: Option<&str>) -> PyResult<Library> {
     let sampler = sampler.map(parse_sampler).transpose()?;
+    let file = SourceFile::new(&path);
     let source = py.detach(|| Source::open(path)).map_err(error)?;
-    Ok(Library { source, sampler })
+    Ok(Library { source, file, sampler })
 }
 
 /// The materials of a file. Immutable.
 #[pyclass(frozen, module = "glimt")]
 pub struct Library {
-    source: Source,
-    sampler: Option<SamplerChoice>,
+    pub source: Source,
+    pub file: Arc<SourceFile>,
+    pub sampler: Option<SamplerChoice>,
 }
 
 #[pymethods]
@@ -50,7 +54,7 @@ impl Library {
     /// The material of that name; the only one if no name is given.
     #[pyo3(signature = (name=None))]
     fn material(&self, py: Python, name: Option<&str>) -> PyResult<Material> {
-        py.detach(|| Material::new(&self.source, name, self.sampler)).map_err(error)
+        py.detach(|| Material::new(&self.source, &self.file, name, self.sampler)).map_err(error)
     }
 
     /// A material between the two of those names, with a share `weight` in [0, 1] of the second.
@@ -72,6 +76,18 @@ impl Library {
 
     fn __len__(&self) -> usize {
         self.source.names().len()
+    }
+
+    fn __copy__(slf: Bound<Self>) -> Bound<Self> {
+        slf
+    }
+
+    fn __deepcopy__<'py>(slf: Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
+        slf
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State<'py>)> {
+        pickle::reduce(py, self)
     }
 
     fn __repr__(&self) -> String {

@@ -1,6 +1,8 @@
 //! `glimt.Material`.
 
-use glimt_core::library::Entry;
+use std::sync::Arc;
+
+use glimt_core::library::{Entry, Origin};
 use glimt_core::sampler::{Sampler, SamplerChoice};
 use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_files::Source;
@@ -10,7 +12,9 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Directions, Triples, aligned};
 use crate::error;
+use crate::library::Library;
 use crate::parallel;
+use crate::pickle::SourceFile;
 
 /// A material: a fitted model, or a measured table as it is. Immutable.
 #[pyclass(frozen, module = "glimt")]
@@ -18,6 +22,7 @@ pub struct Material {
     name: String,
     kind: &'static str,
     material: glimt_core::Material,
+    file: Arc<SourceFile>,
 }
 
 /// One number for all components, or one for each.
@@ -36,15 +41,17 @@ impl<'py, const N: usize> FromPyObject<'_, 'py> for Numbers<N> {
 }
 
 impl Material {
-    /// The material of that name; the only one if `name` is `None`.
+    /// The material of that name; the only one if `name` is `None`. `file` is what `source` was read from.
     pub fn new(
         source: &Source,
+        file: &Arc<SourceFile>,
         name: Option<&str>,
         sampler: Option<SamplerChoice>,
     ) -> Result<Material, glimt_files::Error> {
         let Entry { name, material, .. } = source.library()?.entry(name)?;
-        let material = sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
-        Ok(Material { name: name.clone(), kind: source.kind(), material })
+        let other = sampler.filter(|choice| material.sampler().choice() != Some(*choice));
+        let material = other.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
+        Ok(Material { name: name.clone(), kind: source.kind(), material, file: file.clone() })
     }
 
     /// Between the materials of two names, with a share `weight` of the second.
@@ -61,7 +68,7 @@ impl Material {
 
     /// The same material after a change.
     fn changed(&self, material: glimt_core::Material) -> Material {
-        Material { name: self.name.clone(), kind: self.kind, material }
+        Material { name: self.name.clone(), kind: self.kind, material, file: self.file.clone() }
     }
 }
 
@@ -210,6 +217,27 @@ impl Material {
         };
         let pdf: Vec<f32> = samples.iter().map(|sample| sample.pdf).collect();
         Ok((triples(|s| s.light)?, numbers(py, shape, &pdf)?, triples(|s| s.weight)?))
+    }
+
+    fn __copy__(slf: Bound<Self>) -> Bound<Self> {
+        slf
+    }
+
+    fn __deepcopy__<'py>(slf: Bound<'py, Self>, _memo: &Bound<'py, PyAny>) -> Bound<'py, Self> {
+        slf
+    }
+
+    /// `library[name]` of a library that holds this alone.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Library, &str))> {
+        let get_item = py.import("operator")?.getattr("getitem")?;
+        let material = self.material.clone();
+        let entry = Entry { name: self.name.clone(), material, origin: Origin::default() };
+        let alone = glimt_core::Library::new(self.file.path(), vec![entry]).map_err(error)?;
+        let sampler = self.material.sampler().choice();
+        Ok((
+            get_item,
+            (Library { source: Source::Library(alone), file: self.file.clone(), sampler }, &self.name),
+        ))
     }
 
     fn __repr__(&self) -> String {

@@ -19,8 +19,9 @@ pub fn chunks<T: Send>(out: &mut [T], compute: impl Fn(usize, &mut [T]) + Sync) 
 }
 
 /// Whether the process is a fork of the one that started the threads, as Python's `multiprocessing`
-/// makes: the threads did not come along, and waiting for them would take forever.
-fn is_forked() -> bool {
+/// makes: the threads did not come along, and waiting for them would take forever. Asked before threads are first
+/// used.
+pub fn is_forked() -> bool {
     static STARTED_IN: OnceLock<u32> = OnceLock::new();
     let process = std::process::id();
     *STARTED_IN.get_or_init(|| process) != process

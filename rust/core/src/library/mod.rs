@@ -189,11 +189,17 @@ impl Library {
     /// [`Error::Write`], for measured tables too: a library cannot hold them.
     pub fn save(&self) -> Result<(), Error> {
         let error = |source| Error::Write { path: self.path.clone(), source };
-        if !with_kind!(self.kind(), Stored => Stored::STORED) {
+        let bytes = self.to_bytes().ok_or_else(|| {
             let reason = "a library cannot hold a measurement; fit a model to it with glimt fit";
-            return Err(error(std::io::Error::other(reason)));
-        }
-        write_whole(&self.path, &self.encode()).map_err(error)
+            error(std::io::Error::other(reason))
+        })?;
+        write_whole(&self.path, &bytes).map_err(error)
+    }
+
+    /// The bytes that [`Library::from_bytes`] reads; `None` for measured tables, which a library cannot hold.
+    #[must_use]
+    pub fn to_bytes(&self) -> Option<Vec<u8>> {
+        with_kind!(self.kind(), Stored => Stored::STORED).then(|| self.encode())
     }
 
     /// Where the library was read from or will be written.
