@@ -341,8 +341,8 @@ fn info_says_what_is_odd_about_files() {
     std::fs::write(folder.path("odd.csv"), "0,0,1,1,0,0,1,1,1\n0,0,1,0,0,1,1,-1,1\n").unwrap();
     let text = folder.succeeds(&["info", "odd.bin", "odd.csv"]);
     for line in [
-        "  odd          1 negative number of f, taken as 0\n  odd          1 bytes after the end, ignored\n",
-        "  odd          1 negative number of f, taken as 0\n  odd          1 samples at the horizon, left out\n",
+        "  odd          1 negative number of f, taken as 0\n  odd          1 byte after the end, ignored\n",
+        "  odd          1 negative number of f, taken as 0\n  odd          1 sample at the horizon, left out\n",
     ] {
         assert!(text.contains(line), "{text}");
     }

@@ -61,23 +61,41 @@ impl Oddity {
 impl fmt::Display for Oddity {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match *self {
-            Oddity::Negative { what, count } => write!(f, "{} of {what}, taken as 0", negatives(count)),
-            Oddity::NoArea { count: 1 } => {
-                write!(f, "1 area that is not above 0, filled from its neighbours")
+            Oddity::Negative { what, count } => {
+                write!(f, "{} of {what}, taken as 0", counted(count, "negative number"))
             }
             Oddity::NoArea { count } => {
-                write!(f, "{count} areas that are not above 0, filled from their neighbours")
+                write!(f, "{} of 0 or less, filled from what lies around", counted(count, "projected area"))
             }
             Oddity::NoData { holes, below_horizon } => write!(
                 f,
-                "{holes} bins without data above the horizon, filled from their neighbours, and {below_horizon} below"
+                "{} without data, filled from what lies around, and {below_horizon} below the horizon",
+                counted(holes, "bin")
             ),
-            Oddity::Grazing { count } => write!(f, "{count} samples at the horizon, left out"),
-            Oddity::Trailing { bytes } => write!(f, "{bytes} bytes after the end, ignored"),
+            Oddity::Grazing { count } => write!(f, "{} at the horizon, left out", counted(count, "sample")),
+            Oddity::Trailing { bytes } => write!(f, "{} after the end, ignored", counted(bytes, "byte")),
         }
     }
 }
 
-fn negatives(count: usize) -> String {
-    format!("{count} negative number{}", if count == 1 { "" } else { "s" })
+/// A number of things, the word in its plural where there is not one.
+fn counted(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_odd_is_a_line_in_words() {
+        let negative = |count| Oddity::Negative { what: "luminance", count }.to_string();
+        assert_eq!(negative(1), "1 negative number of luminance, taken as 0");
+        assert_eq!(negative(2), "2 negative numbers of luminance, taken as 0");
+        assert_eq!(
+            Oddity::NoData { holes: 3, below_horizon: 5 }.to_string(),
+            "3 bins without data, filled from what lies around, and 5 below the horizon"
+        );
+        assert!(!Oddity::Trailing { bytes: 0 }.is_there() && Oddity::NoArea { count: 1 }.is_there());
+    }
 }

@@ -35,7 +35,7 @@ pub struct Dense {
 /// The dense layers of a file in their order, by the numbers in their names (`dense_1`, `dense_2` …).
 ///
 /// # Errors
-/// In words, a file that is broken or holds other types than float32.
+/// In words, a file that is broken or holds other types than float32 and float64.
 pub fn dense_layers(bytes: &[u8]) -> Result<Vec<Dense>, String> {
     check_nodes(bytes)?;
     let file = Hdf5File::from_bytes(bytes).map_err(|error| error.to_string())?;
@@ -112,9 +112,13 @@ fn read(dataset: &Dataset) -> Result<Array, String> {
             dataset.shape()
         ));
     }
-    let values = dataset
-        .read_array::<f32>()
-        .map_err(|error| format!("the dataset {} is no array of float32: {error}", dataset.name()))?;
+    if let Ok(values) = dataset.read_array::<f64>() {
+        let narrowed = values.iter().map(|&value| value as f32).collect();
+        return Ok(Array { shape: values.shape().to_vec(), values: narrowed });
+    }
+    let values = dataset.read_array::<f32>().map_err(|error| {
+        format!("the dataset {} is no array of float32 or float64: {error}", dataset.name())
+    })?;
     Ok(Array { shape: values.shape().to_vec(), values: values.iter().copied().collect() })
 }
 
@@ -156,6 +160,23 @@ pub(crate) mod tests {
         let layers = dense_layers(&file(&datasets)).unwrap();
         assert_eq!(layers.iter().map(|layer| layer.kernel.clone()).collect::<Vec<_>>(), kernels);
         assert!(layers.iter().all(|layer| layer.bias == bias));
+    }
+
+    #[test]
+    fn what_keras_reads_is_read() {
+        let builder = |name: &str, shape: Vec<u64>, values: &[f64]| {
+            DatasetBuilder::typed_data(name, shape, values).unwrap()
+        };
+        let kernel = builder("dense_1/dense_1/kernel:0", vec![2, 1], &[0.5, -0.25]);
+        let builder =
+            Hdf5Builder::new().dataset(kernel).dataset(builder("dense_1/dense_1/bias:0", vec![1], &[2.0]));
+        let mut bytes = builder.into_plan().unwrap().encode(WriteOptions::default()).unwrap();
+        bytes.extend(b"bytes after the end");
+        let dense = Dense {
+            kernel: Array { shape: vec![2, 1], values: vec![0.5, -0.25] },
+            bias: Array { shape: vec![1], values: vec![2.0] },
+        };
+        assert_eq!(dense_layers(&bytes), Ok(vec![dense]));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 use glam::Vec3;
 use glimt_check::Verdict;
 use glimt_check::edits::EditLaw;
+use glimt_core::factor::{Interpolation, Variant};
 use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Library, Origin};
@@ -15,7 +16,8 @@ use glimt_fit::loss::Loss;
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
 use glimt_fit::train::Schedule;
 use glimt_fit::{
-    HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth, add, fit,
+    FactorOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth,
+    add, fit, fit_factor,
 };
 
 /// A base, a lobe and a grazing sheen that no GGX lobe has.
@@ -103,6 +105,39 @@ fn ggx_finds_the_parameters_that_made_the_data() {
     let numbers = |m: &Microfacet| [&m.kd[..], &m.eta, &m.alpha].concat();
     for (found, truth) in numbers(found).iter().zip(numbers(&truth)) {
         assert!((found / truth - 1.0).abs() < 0.01, "{found} against {truth}");
+    }
+}
+
+/// A Lambertian surface that was not measured beyond 60° on either side, and looks black there.
+struct Holed;
+
+impl Brdf for Holed {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        if self.has_data(light, view) { Vec3::splat(0.3) } else { Vec3::ZERO }
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        light.z > 0.5 && view.z > 0.5
+    }
+}
+
+#[test]
+fn nothing_is_fitted_to_holes() {
+    let ggx = Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(0, 1) };
+    let factors =
+        FactorOptions { variant: Variant::GFromD, interpolation: Interpolation::default(), seed: 0 };
+    let inputs = [input("holed", &Holed, true)];
+    let models = [
+        ("ggx", finish(&inputs, &ggx).remove(0).material),
+        ("hybrid", finish(&inputs, &hybrid(HybridOptions::per_material(NET), 1000)).remove(0).material),
+        ("factor", fit_factor(&Holed, &factors).factor.into()),
+    ];
+    for (name, model) in models {
+        for (light, view) in [(0.6_f32, 0.6_f32), (0.55, 0.9), (0.99, 0.52)] {
+            let at = |z: f32| Vec3::new((1.0 - z * z).sqrt(), 0.0, z);
+            let f = model.eval(at(light), at(view));
+            assert!((f / 0.3 - 1.0).abs().max_element() < 0.02, "{name} at {light} {view}: {f}");
+        }
     }
 }
 
