@@ -13,7 +13,9 @@ PYTHON ?= python3
 VENV := $(CURDIR)/.venv
 export PATH := $(VENV)/bin:$(PATH)
 # One directory for all of Cargo's work, so that nothing is compiled twice.
-export CARGO_TARGET_DIR ?= $(CURDIR)/target
+CARGO_TARGET_DIR ?= $(CURDIR)/target
+override CARGO_TARGET_DIR := $(abspath $(CARGO_TARGET_DIR))
+export CARGO_TARGET_DIR
 
 SOURCES := Cargo.toml Cargo.lock CMakeLists.txt pyproject.toml \
            $(shell find plugin rust -name '*.rs' -o -name '*.toml' -o -name '*.h' -o -name '*.cpp' \

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parent.parent
 @pytest.fixture(scope="session")
 def target_dir():
     """Where Cargo builds."""
-    return Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    return ROOT / os.environ.get("CARGO_TARGET_DIR", "target")
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +24,7 @@ def command_line(target_dir):
         pytest.skip("cargo is not installed")
     # The packages that an installation builds, in one call as there: with the features of one alone, Cargo
     # would compile what all share anew.
-    packages = [f"--package=glimt-{name}" for name in ("ffi", "py", "cli")]
+    packages = [f"--package=glimt-{name}" for name in ("mitsuba", "py", "cli")]
     build = ["cargo", "build", "--release", "--locked", *packages, "--target-dir", target_dir]
     subprocess.run(build, cwd=ROOT, check=True, env={**os.environ, "PYO3_PYTHON": sys.executable})
     return target_dir / "release" / "glimt"

@@ -141,6 +141,37 @@ def test_table_samples_follow_their_density(libraries, tables):
     assert not rejected, rejected
 
 
+@pytest.mark.parametrize("variant", ["llvm_ad_spectral", "scalar_spectral"])
+def test_a_spectral_export_is_what_the_plugin_makes_of_the_colours(
+    libraries, command_line, tmp_path, variant
+):
+    if variant not in mi.variants():
+        pytest.skip(f"Mitsuba has no variant {variant}")
+    rgb, spectral = tmp_path / "rgb.bsdf", tmp_path / "spectral.bsdf"
+    for options in ([rgb], ["--spectral", spectral]):
+        subprocess.run(
+            [command_line, "convert", libraries["ggx"], "--material", "metal", *options], check=True
+        )
+    mi.set_variant(variant)
+    plugin = load(rgb, "")
+    measured = mi.load_dict({"type": "measured", "filename": str(spectral)})
+    errors, total = 0.0, 0.0
+    n = 64
+    light, view = hemisphere(n, 1, 0.2), hemisphere(n, 2, 0.2)
+    for i in range(n):
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.wi = mi.Vector3f(*(float(x) for x in view[:, i]))
+        si.wavelengths = mi.Color4f(*(380 + 440 * ((i / n + np.arange(4) / 4) % 1)))
+        wo = mi.Vector3f(*(float(x) for x in light[:, i]))
+        found, expected = (
+            np.array(bsdf.eval(mi.BSDFContext(), si, wo)).ravel() for bsdf in (measured, plugin)
+        )
+        errors += np.abs(found - expected).sum()
+        total += expected.sum()
+    # Nodes of the spectra that lie within 0.002 of a line are left out of the file.
+    assert total > 0 and errors < 5e-3 * total, errors / total
+
+
 def test_derivatives_of_directions_are_detached(tables):
     bsdf, ctx = load(tables["binary"], ""), mi.BSDFContext()
     si = interaction(hemisphere(8, 1))

@@ -31,6 +31,11 @@ class Library:
         """The file that it was read from."""
     def material(self, name: str | None = None) -> Material:
         """The material of that name; the only one if no name is given."""
+    def mix(self, a: str, b: str, weight: float) -> Material:
+        """A material between the two of those names, with a share ``weight`` in [0, 1] of the second.
+
+        Models whose materials share a network, and ggx, can be mixed.
+        """
     def __getitem__(self, name: str) -> Material: ...
     def __contains__(self, name: str) -> bool: ...
     def __iter__(self) -> Iterator[str]: ...
@@ -51,6 +56,9 @@ class Material:
     @property
     def kind(self) -> str:
         """Model or measured format, as in ``Library.kind``."""
+    @property
+    def oddities(self) -> list[str]:
+        """What is odd about the file of a measurement, and what was made of it; empty for models."""
     @property
     def kd(self) -> tuple[float, float, float] | None:
         """Diffuse albedo, linear RGB; None where the model has no analytic part."""

@@ -4,7 +4,8 @@
 dictionary of a BSDF or a scene as ``mitsuba.load_dict`` takes it (.json). The first line of the standard
 output is a JSON object: ``{"name": …, "anisotropic": …, "variant": …}``, or ``{"error": …}`` and the end.
 Then every request on the standard input is a little-endian uint32 n and 6 n float32, light x y z and view
-x y z for each pair, and is answered by 3 n float32: f_r in 1/sr, linear RGB, without the cosine.
+x y z for each pair, and is answered by the uint32 0 and 3 n float32: f_r in 1/sr, linear RGB, without the
+cosine. Where the BSDF throws, the answer is the length of a message in bytes, the message, and the end.
 """
 
 import difflib
@@ -59,14 +60,34 @@ def load_bsdf(mi, path, name):
         return loaded, name or os.path.splitext(os.path.basename(path))[0]
     if not isinstance(loaded, mi.Scene):
         raise SimulationError(f"{path} holds a {type(loaded).__name__}, expected a scene or a BSDF")
-    bsdfs = {shape.bsdf().id(): shape.bsdf() for shape in loaded.shapes() if shape.bsdf() is not None}
-    if not name and len(bsdfs) == 1:
-        name = next(iter(bsdfs))
-    if name not in bsdfs:
-        near = difflib.get_close_matches(name or "", bsdfs, n=3) or sorted(bsdfs)[:12]
-        what = f'has no BSDF "{name}" on a shape' if name else f"has {len(bsdfs)} BSDFs; name one with --bsdf"
-        raise SimulationError(f"{path} {what}; there are: {', '.join(near) or 'none'}")
-    return bsdfs[name], name
+    return choose_bsdf(loaded.shapes(), path, name)
+
+
+def choose_bsdf(shapes, path, name):
+    """The BSDF ``name`` of some shapes, and its name; the only one if none is given."""
+    bsdfs = []
+    for shape in shapes:
+        bsdf = shape.bsdf()
+        if bsdf is not None and not any(bsdf is other for other in bsdfs):
+            bsdfs.append(bsdf)
+    wanted = [bsdf for bsdf in bsdfs if bsdf.id() == name] if name else bsdfs
+    if len(wanted) == 1:
+        stem = os.path.splitext(os.path.basename(path))[0]
+        return wanted[0], name or wanted[0].id() or stem
+    if len(wanted) > 1:
+        what = f'has {len(wanted)} BSDFs with the id "{name}"' if name else f"has {len(wanted)} BSDFs"
+        raise SimulationError(
+            f"{path} {what}; give them ids of their own and name one with --bsdf: {listed(wanted)}"
+        )
+    near = difflib.get_close_matches(name or "", [bsdf.id() for bsdf in bsdfs if bsdf.id()], n=3)
+    what = f'has no BSDF "{name}" on a shape' if name else "has no BSDF on a shape"
+    raise SimulationError(f"{path} {what}; there are: {', '.join(near) or listed(bsdfs)}")
+
+
+def listed(bsdfs, most=12):
+    """The BSDFs in words, by their ids or, where they have none, by their classes."""
+    words = [bsdf.id() or f"a {bsdf.class_name()} without id" for bsdf in bsdfs[:most]]
+    return ", ".join(words + ["…"] * (len(bsdfs) > most)) or "none"
 
 
 def evaluator(mi, bsdf, variant):
@@ -125,8 +146,20 @@ def serve(path, name, requests, answers):
     while header := requests.read(4):
         n = int.from_bytes(header, "little")
         pairs = np.frombuffer(requests.read(24 * n), "<f4").reshape(n, 6)
-        answers.write(evaluate(np.ascontiguousarray(pairs.T)).tobytes())
+        try:
+            values = evaluate(np.ascontiguousarray(pairs.T)).tobytes()
+        except Exception as error:  # Whatever a BSDF throws.
+            message = in_a_line(error).encode()
+            answers.write(len(message).to_bytes(4, "little") + message)
+            raise SystemExit(1) from error
+        answers.write(bytes(4) + values)
         answers.flush()
+
+
+def in_a_line(error):
+    """What an exception says, and its type where that is not all of it."""
+    words = " ".join(str(error).split())
+    return f"{type(error).__name__}: {words}" if words else type(error).__name__
 
 
 def main():
@@ -139,7 +172,7 @@ def main():
     try:
         serve(sys.argv[1], sys.argv[2] if len(sys.argv) == 3 else "", sys.stdin.buffer, answers)
     except SimulationError as error:
-        answers.write(json.dumps({"error": str(error)}).encode() + b"\n")
+        answers.write(json.dumps({"error": " ".join(str(error).split())}).encode() + b"\n")
         sys.exit(1)
 
 

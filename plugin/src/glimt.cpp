@@ -38,6 +38,11 @@ Compact fit of a measured material (:monosp:`glimt`)
    - Name of the material in the library; ``glimt info FILE`` lists them. Not needed where the library
      has only one.
 
+ * - mix, mix_weight
+   - |string|, |float|
+   - Name of a second material of the library, and its share in :math:`[0, 1]`: the material between the two. For
+     the models whose materials share a network, and ``ggx``. (Default: none)
+
  * - sampler
    - |string|
    - How directions are sampled: ``lobes`` (a cosine lobe and a GGX lobe), ``table`` (tables of the
@@ -119,9 +124,13 @@ public:
 
         fs::path file = file_resolver()->resolve(props.get<std::string_view>("filename"));
         m_file = file.filename().string();
+        const std::string mix(props.get<std::string_view>("mix", ""));
+        if (mix.empty() == props.has_property("mix_weight"))
+            Throw("glimt: \"mix\" names a second material and \"mix_weight\" its share; give both or neither.");
+        const float weight = (float) props.get<ScalarFloat>("mix_weight", 0.f);
         rust::Box<Material> material = checked([&] {
             return glimt::core::open(file.string(), std::string(props.get<std::string_view>("material", "")),
-                                     std::string(props.get<std::string_view>("sampler", "")));
+                                     mix, weight, std::string(props.get<std::string_view>("sampler", "")));
         });
         m_name = std::string(material->name());
         m_model = glimt::TracedModel<Float>(*material);
@@ -365,8 +374,10 @@ private:
         auto lobes = m_material->lobes();
         m_lobes.alpha = Vector2f(lobes.alpha[0], lobes.alpha[1]);
         m_lobes.specular_weight = lobes.specular_weight;
+        auto room = m_material->room();
+        m_room = dr::load<FloatStorage>(room.data(), room.size());
         // Values that are not literals, so that a change of them compiles no new kernel.
-        dr::make_opaque(m_lobes.alpha, m_lobes.specular_weight, m_kd, m_eta, m_alpha, m_latent);
+        dr::make_opaque(m_lobes.alpha, m_lobes.specular_weight, m_kd, m_eta, m_alpha, m_latent, m_room);
 
         m_components.assign(1, BSDFFlags::GlossyReflection | BSDFFlags::FrontSide);
         if (!m_material->is_isotropic())
@@ -489,7 +500,7 @@ private:
                 if (calls_from_kernel(light, view))
                     return m_call.eval(light, view, active);
             }
-            return m_model.eval(light, view, { m_kd, m_eta, alpha() }, m_latent, active);
+            return m_model.eval(light, view, { m_kd, m_eta, alpha() }, m_latent, m_room, active);
         }
     }
 
@@ -585,8 +596,10 @@ private:
     Vector2f m_alpha;
     bool m_isotropic = true;
     FloatStorage m_latent;
+    /// What an edit leaves of the network's correction, see rust/core/src/edit.rs.
+    FloatStorage m_room;
 
-    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_lobes, m_call, m_sampler_call, m_primaries)
+    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_room, m_lobes, m_call, m_sampler_call, m_primaries)
 };
 
 MI_EXPORT_PLUGIN(Glimt)

@@ -10,7 +10,7 @@
 #include <mitsuba/core/spectrum.h>
 #include <mitsuba/core/vector.h>
 
-#include "glimt-ffi/src/bridge.rs.h"
+#include "glimt-mitsuba/src/bridge.rs.h"
 
 namespace glimt {
 
@@ -61,7 +61,7 @@ PacketHit<Value> call_packet(const dr::uint64_array_t<Value> &pointer, const dr:
  * \brief Evaluates a Rust material from inside the kernels that Dr.Jit compiles for the CPU
  *
  * The one place where a kernel of Dr.Jit 1.5 calls a foreign function is \c jit_llvm_ray_trace(),
- * which takes any function with the convention of Embree's \c rtcIntersectN(). rust/ffi/src/packet.rs
+ * which takes any function with the convention of Embree's \c rtcIntersectN(). rust/mitsuba/src/packet.rs
  * serves that convention and says which field of a ray carries what. There is no scene.
  *
  * The call has no derivative. It is not the documented purpose of that function either, which is
@@ -176,7 +176,7 @@ private:
         return { f(lit_1, hit.u, hit.v, hit.primitive), f(lit_2, hit.t, hit.geometry, hit.instance) };
     }
 
-    /// What is asked for in a lane, see rust/ffi/src/packet.rs.
+    /// What is asked for in a lane, see rust/mitsuba/src/packet.rs.
     static constexpr uint32_t First = 1, Second = 2;
 
     /// What keeps a material, and the memory that the variable with its address maps.

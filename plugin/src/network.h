@@ -4,7 +4,7 @@
 
 #include <drjit/math.h>
 
-#include "glimt-ffi/src/bridge.rs.h"
+#include "glimt-mitsuba/src/bridge.rs.h"
 
 namespace glimt {
 

@@ -10,7 +10,7 @@ namespace glimt {
  *
  * For samplers that have no traced form: tables, and the warps of measurements. The way in is that of
  * \ref KernelCall, whose address of the material the calls take; the other side is
- * rust/ffi/src/sampler_packet.rs. No derivatives either.
+ * rust/mitsuba/src/sampler_packet.rs. No derivatives either.
  */
 template <typename Float> class SamplerCall {
 public:

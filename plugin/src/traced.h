@@ -5,6 +5,7 @@
 
 #include <mitsuba/core/logger.h>
 
+#include "edit.h"
 #include "features.h"
 #include "microfacet.h"
 #include "network.h"
@@ -28,13 +29,18 @@ public:
     using Mask         = dr::mask_t<Float>;
 
     TracedModel() = default;
-    explicit TracedModel(const core::Material &material) : m_model(material.model()) { }
+    explicit TracedModel(const core::Material &material) : m_model(material.model()) {
+        const auto &p = m_model.fitted;
+        m_edit.fitted = { Color3f(p.kd[0], p.kd[1], p.kd[2]), Color3f(p.eta[0], p.eta[1], p.eta[2]),
+                          Vector2f(p.alpha[0], p.alpha[1]) };
+    }
 
     bool has_network() const { return m_model.kind != core::Kind::Ggx; }
 
-    /// f_r(light, view), linear RGB; 0 in the lanes that are not active.
+    /// f_r(light, view), linear RGB; 0 in the lanes that are not active. \c room is what the core found for these
+    /// parameters, and constant.
     Color3f eval(const Vector3f &light, const Vector3f &view, const TracedMicrofacet<Float> &microfacet,
-                 const FloatStorage &latent, const Mask &active) const {
+                 const FloatStorage &latent, const FloatStorage &room, const Mask &active) const {
         // A pair that is lit in place of one that is not: derivatives of the latter may be NaN, which
         // no mask takes back.
         Vector3f normal(0.f, 0.f, 1.f);
@@ -42,8 +48,8 @@ public:
         Color3f f = 0.f;
         switch (m_model.kind) {
             case core::Kind::Ggx: f = microfacet.eval(l, v); break;
-            case core::Kind::Hybrid: f = hybrid(l, v, microfacet, latent, active); break;
-            case core::Kind::Neural: f = neural(l, v, latent, active); break;
+            case core::Kind::Hybrid: f = hybrid(l, v, microfacet, latent, room, active); break;
+            case core::Kind::Neural: f = neural(l, v, latent, room, active); break;
             case core::Kind::Nbrdf: f = nbrdf(l, v); break;
             case core::Kind::Untraced: break; // see Material::has_traced_form()
         }
@@ -53,29 +59,36 @@ public:
 private:
     /// De Oliveira et al., "A Hybrid Neural-Microfacet BRDF Model", eq. 1 and its ablations.
     Color3f hybrid(const Vector3f &light, const Vector3f &view, const TracedMicrofacet<Float> &microfacet,
-                   const FloatStorage &latent, const Mask &active) const {
+                   const FloatStorage &latent, const FloatStorage &shares, const Mask &active) const {
         Color3f analytic = microfacet.eval(light, view);
-        auto x = TracedFeatures<Float>::compute(m_model.inputs, light, view, microfacet.alpha);
+        auto [l, v] = m_edit.turn(light, view, microfacet.alpha);
+        Color3f fitted = m_edit.fitted.eval(l, v);
+        auto x = TracedFeatures<Float>::compute(m_model.inputs, l, v, m_edit.fitted.alpha);
         if (m_model.analytic_input)
             for (size_t c = 0; c < 3; ++c)
-                x.push_back(AnalyticScale * dr::log(analytic[c] + AnalyticFloor));
+                x.push_back(AnalyticScale * dr::log(fitted[c] + AnalyticFloor));
         auto z = elements(latent, active);
         x.insert(x.end(), z.begin(), z.end());
         auto y = forward(m_model.network, std::move(x));
         Color3f a = dr::minimum(Color3f(y[0], y[1], y[2]), m_model.bound);
+        Color3f change = TracedEdit<Float>::change(fitted, analytic);
+        Float room = TracedEdit<Float>::room(shares, light.z(), view.z(), active);
         switch (m_model.composition) {
             case core::Composition::GatedResidual:
-                return dr::exp(a) + analytic / (1.f + dr::exp(-Color3f(y[3], y[4], y[5])));
+                return dr::exp(a) * change * room + analytic / (1.f + dr::exp(-Color3f(y[3], y[4], y[5])));
             case core::Composition::Additive:
-                return dr::maximum(analytic + a, 0.f);
-            default: // LogMultiplicative
-                return analytic * dr::exp(a);
+                return dr::maximum(
+                    analytic + change * (dr::maximum(a, 0.f) * room + dr::minimum(a, 0.f)), 0.f);
+            default: { // LogMultiplicative
+                Color3f factor = dr::exp(a);
+                return analytic * (dr::minimum(factor, 1.f) + dr::maximum(factor - 1.f, 0.f) * room);
+            }
         }
     }
 
     /// Directions seen from learned shading frames, after Zeltner et al. 2024.
     Color3f neural(const Vector3f &light, const Vector3f &view, const FloatStorage &latent,
-                   const Mask &active) const {
+                   const FloatStorage &shares, const Mask &active) const {
         auto z = elements(latent, active);
         auto offsets = affine(m_model.frames, z);
         std::vector<Float> x;
@@ -87,7 +100,8 @@ private:
         }
         x.insert(x.end(), z.begin(), z.end());
         auto y = forward(m_model.network, std::move(x));
-        return dr::exp(dr::minimum(Color3f(y[0], y[1], y[2]), m_model.bound));
+        return dr::exp(dr::minimum(Color3f(y[0], y[1], y[2]), m_model.bound)) *
+               TracedEdit<Float>::room(shares, light.z(), view.z(), active);
     }
 
     /// Tangent, bitangent and normal from offsets of the normal from z and of the tangent from x.
@@ -130,6 +144,7 @@ private:
     static constexpr float NbrdfMaxOutput = 20.7f;
 
     core::Model m_model;
+    TracedEdit<Float> m_edit;
 };
 
 } // namespace glimt

@@ -10,6 +10,12 @@
 #ifndef GLIMT_HPP
 #define GLIMT_HPP
 
+#if __cplusplus < 201703L && (!defined(_MSVC_LANG) || _MSVC_LANG < 201703L)
+#error "glimt/glimt.hpp needs C++17 or later (-std=c++17); older C++ can use the C interface, glimt/glimt.h"
+#elif !defined(__cpp_exceptions) && !defined(_CPPUNWIND)
+#error "glimt/glimt.hpp reports errors as exceptions; under -fno-exceptions use the C interface, glimt/glimt.h"
+#else
+
 #include <array>
 #include <cstddef>
 #include <memory>
@@ -167,6 +173,13 @@ public:
     /// The only material of a library that holds one.
     Material material() const { return find(nullptr); }
 
+    /// A material between two, with a share \c weight in [0, 1] of the second.
+    Material mix(const std::string &a, const std::string &b, float weight) const {
+        glimt_material *material = nullptr;
+        detail::check(glimt_library_mix(library_.get(), a.c_str(), b.c_str(), weight, &material));
+        return Material(material);
+    }
+
 private:
     Material find(const char *name) const {
         glimt_material *material = nullptr;
@@ -179,4 +192,5 @@ private:
 
 } // namespace glimt
 
+#endif // C++17 with exceptions
 #endif

@@ -3,7 +3,7 @@
 //!
 //! Reading order: [`subject`] is what can be checked; [`run`] puts one through all tests; [`look`] is one view
 //! of it, whose samples and [`cells`] several tests share. The tests are one file per family: [`horizon`],
-//! [`consistency`], [`sampling`], [`energy`], [`components`], [`symmetry`]; [`audit`] sees every answer.
+//! [`consistency`], [`sampling`], [`energy`], [`edits`], [`components`], [`symmetry`]; [`audit`] sees every answer.
 //! [`verdict`] says what findings mean, [`report`] and [`page`] show them.
 //!
 //! Numerical stability: [`extremes`] is the catalogue, [`measurements`] its files, [`stability`] runs it, [`random_pairs`] goes beyond it,
@@ -14,6 +14,7 @@ pub mod audit;
 pub mod cells;
 pub mod components;
 pub mod consistency;
+pub mod edits;
 pub mod energy;
 pub mod extremes;
 pub mod functions;
@@ -24,6 +25,7 @@ pub mod page;
 pub mod picture;
 pub mod random_pairs;
 pub mod report;
+pub mod rounding;
 pub mod run;
 pub mod sampling;
 pub mod stability;

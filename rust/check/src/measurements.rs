@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::Vec3;
 use glimt_core::Brdf;
 use glimt_measured::utia::Encoding;
-use glimt_measured::{Measured, Merl, Rgl, Utia, merl, rgl_bytes, utia};
+use glimt_measured::{Colours, Measured, Merl, Rgl, Utia, merl, rgl_bytes, utia};
 
 use crate::extremes::{Case, MeasuredFile};
 
@@ -63,7 +63,7 @@ pub fn cases() -> Vec<Case> {
         cases.push(measured(format!("MERL, {name}"), "binary", merl::to_bytes(brdf)));
         cases.push(measured(format!("UTIA, {name}"), "bin", utia::to_bytes(brdf, Encoding::default())));
     }
-    let steep = measured("RGL, steep".into(), "bsdf", rgl_bytes(&Steep, true, "steep"));
+    let steep = measured("RGL, steep".into(), "bsdf", rgl_bytes(&Steep, true, Colours::Rgb, "steep"));
     cases.extend(["lobes", "table"].map(|sampler| steep.sampled(sampler)));
     cases.push(steep);
     for (name, bytes) in RGL_CORPUS {

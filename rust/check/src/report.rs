@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use glimt_disk::printable;
 use serde::Serialize;
 
 use crate::run::{Checked, Sight};
@@ -128,13 +129,14 @@ impl Judged {
     fn text(&self) -> String {
         let verdict = match self.verdict {
             Verdict::Fail => "FAIL",
+            Verdict::OfTheFile => "pass, but for what is of the file",
             Verdict::Warning => "pass, with warnings",
             _ => "pass",
         };
         let promises = self.claims.text();
         let mut text = format!(
             "{}: {verdict} ({:.1} million answers, {:.1} s; {promises})\n",
-            self.name,
+            printable(&self.name),
             self.answers as f64 / 1e6,
             self.seconds
         );
@@ -158,9 +160,12 @@ impl Claims {
             (false, false) => "opaque, one-sided",
         };
         let mut text = surface.to_owned();
-        for (is_promised, promise) in
-            [(self.reciprocal, "reciprocal"), (self.isotropic, "isotropic"), (self.conserving, "conserving")]
-        {
+        for (is_promised, promise) in [
+            (self.reciprocal, "reciprocal"),
+            (self.isotropic, "isotropic"),
+            (self.conserving, "conserving"),
+            (self.measured, "a measurement"),
+        ] {
             if is_promised {
                 text = format!("{text}, {promise}");
             }

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::statistics::threshold;
+use crate::subject::Claims;
 use crate::views::View;
 
 /// The questions, in the order of the tables.
@@ -45,6 +46,8 @@ pub enum Test {
     Isotropy,
     /// Directional albedo.
     Energy,
+    /// Directional albedo of an edited material.
+    EditEnergy,
 }
 
 impl Test {
@@ -70,6 +73,7 @@ impl Test {
             Test::Reciprocity => "reciprocity",
             Test::Isotropy => "isotropy",
             Test::Energy => "energy",
+            Test::EditEnergy => "edit-energy",
         }
     }
 
@@ -97,6 +101,9 @@ impl Test {
             Test::Reciprocity => "Is f(light, view) = f(view, light)?",
             Test::Isotropy => "Is f the same when both directions turn about the normal?",
             Test::Energy => "Does no more energy leave than arrives?",
+            Test::EditEnergy => {
+                "Does no more leave than before the edit, than from the edited analytic part, and than arrives?"
+            }
         }
     }
 }
@@ -144,6 +151,8 @@ pub enum Severity {
     Failure,
     /// Worth knowing; correct subjects may do it.
     Warning,
+    /// A property of the measurement, which is answered as it is.
+    OfTheFile,
 }
 
 /// The meaning of one or many findings; a greater one prevails.
@@ -158,6 +167,8 @@ pub enum Verdict {
     Pass,
     /// Worth knowing.
     Warning,
+    /// Against physics, and what the measurement says.
+    OfTheFile,
     /// Broken.
     Fail,
 }
@@ -171,6 +182,7 @@ impl Verdict {
             Verdict::Figure => "figure",
             Verdict::Pass => "ok",
             Verdict::Warning => "warning",
+            Verdict::OfTheFile => "of file",
             Verdict::Fail => "FAIL",
         }
     }
@@ -231,6 +243,13 @@ impl Finding {
         Finding { severity: Severity::Warning, ..self }
     }
 
+    /// The same about a law of physics: a measurement as it is owes it nothing.
+    #[must_use]
+    pub fn law(self, claims: &Claims) -> Finding {
+        let severity = if claims.measured { Severity::OfTheFile } else { self.severity };
+        Finding { severity, ..self }
+    }
+
     /// What it means where a p-value below `threshold` is a violation.
     #[must_use]
     pub fn verdict(&self, threshold: f64) -> Verdict {
@@ -243,6 +262,7 @@ impl Finding {
         match (is_violated, self.severity) {
             (false, _) => Verdict::Pass,
             (true, Severity::Warning) => Verdict::Warning,
+            (true, Severity::OfTheFile) => Verdict::OfTheFile,
             (true, Severity::Failure) => Verdict::Fail,
         }
     }

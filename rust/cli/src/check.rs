@@ -2,12 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use clap::builder::NonEmptyStringValueParser;
 use glimt_check::{BrdfSubject, Claims, Options, Report};
 use glimt_core::Material;
 use glimt_core::sampler::SamplerChoice;
 use glimt_files::Source;
 
+use crate::edit::{self, Edit};
+use crate::output::{Format, Overwrite};
 use crate::{inputs, output};
 
 /// Test materials: sampling, weights, energy, symmetry, the horizon
@@ -18,11 +21,15 @@ use crate::{inputs, output};
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Model libraries, measurements or NBRDF weights; directories and globs of them
-    #[arg(required = true, value_name = "FILE")]
+    #[arg(required = true, value_name = "FILE", value_parser = inputs::file())]
     files: Vec<PathBuf>,
     /// Name of one material; all if not given
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     material: Option<String>,
+    /// Test the materials with this change of their analytic part: kd=R,G,B, eta=N or alpha=A; may be given several
+    /// times. One more test then asks whether the edit keeps the energy
+    #[arg(long = "edit", value_name = "NAME=VALUE")]
+    edits: Vec<Edit>,
     /// lobes, table, table:paper or table:VIEWSxRINGSxSECTORS [default: the materials' own]
     #[arg(long, value_name = "SAMPLER")]
     sampler: Option<SamplerChoice>,
@@ -30,8 +37,10 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     /// Write a page with the pictures behind every verdict
-    #[arg(long, value_name = "PAGE.html")]
+    #[arg(long, value_name = "PAGE.html", value_parser = inputs::file())]
     html: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Samples for each view
     #[arg(long, default_value_t = Options::FULL.samples as u32, value_name = "N", value_parser = clap::value_parser!(u32).range(1000..=10_000_000))]
     samples: u32,
@@ -43,14 +52,19 @@ pub struct Arguments {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     if let Some(page) = &arguments.html {
-        output::check_writable(page)?;
+        arguments.overwrite.check(page, Format::Page)?;
     }
     let options = Options { samples: arguments.samples as usize, seed: arguments.seed, ..Options::FULL };
     let mut materials = Vec::new();
-    for source in &inputs::open(&arguments.files)? {
+    let outputs: Vec<&Path> = arguments.html.iter().map(PathBuf::as_path).collect();
+    for source in &inputs::open(&arguments.files, &outputs)? {
         materials.extend(materials_of(source, arguments)?);
     }
-    let subjects: Vec<BrdfSubject> = materials
+    let edited = materials
+        .iter()
+        .map(|(name, material)| Ok((name.clone(), edit::apply(&arguments.edits, name, material)?)))
+        .collect::<Result<Vec<_>>>()?;
+    let subjects: Vec<BrdfSubject> = edited
         .iter()
         .map(|(name, material)| BrdfSubject {
             name: name.clone(),
@@ -59,23 +73,29 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         })
         .collect();
     let bar = output::progress_bar(subjects.len(), "check");
-    let check = |subject| glimt_check::check(subject, &options);
-    let checked = bar.wrap_iter(subjects.iter()).map(|subject| check(subject)).collect::<Result<_, _>>();
-    // A material of a file always answers; the error is for subjects that live elsewhere.
-    let report = Report::new(checked.map_err(anyhow::Error::from_boxed)?);
-    output::print(&if arguments.json { report.json() + "\n" } else { report.text() })?;
+    let mut checked = Vec::new();
+    for (i, subject) in bar.wrap_iter(subjects.iter()).enumerate() {
+        // A material of a file always answers; the error is for subjects that live elsewhere.
+        let mut of_subject = glimt_check::check(subject, &options).map_err(anyhow::Error::from_boxed)?;
+        if !arguments.edits.is_empty() {
+            of_subject.findings.extend(glimt_check::edits::energy(&materials[i].1, &edited[i].1));
+        }
+        checked.push(of_subject);
+    }
+    let report = Report::new(checked);
+    // First, as nobody need read the table to the end.
     if let Some(page) = &arguments.html {
-        write_page(page, &report)?;
+        output::write(page, glimt_check::page::html(&report).as_bytes())?;
+    }
+    if arguments.json {
+        output::print_raw(&(report.json() + "\n"))?;
+    } else {
+        output::print(&report.text())?;
     }
     if !report.passed() {
         bail!("{} of {} failed: {}", report.failed().len(), subjects.len(), report.failed().join(", "));
     }
     Ok(())
-}
-
-fn write_page(path: &Path, report: &Report) -> Result<()> {
-    std::fs::write(path, glimt_check::page::html(report))
-        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// The materials of a file by name, or the one that was asked for, with the sampler that was.

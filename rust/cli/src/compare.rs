@@ -10,7 +10,7 @@ use glimt_report::image::flip::{Shown, flip};
 use glimt_report::image::z_test::{Estimate, ZTest};
 use serde::Serialize;
 
-use crate::output;
+use crate::{inputs, output};
 
 /// Measure how far a rendered image is from the truth: MAE, RMSE, PSNR, SSIM, FLIP, and whether noise explains it
 ///
@@ -20,8 +20,10 @@ use crate::output;
 #[derive(clap::Args)]
 pub struct Arguments {
     /// The image to compare with
+    #[arg(value_parser = inputs::file())]
     truth: PathBuf,
     /// The image in question
+    #[arg(value_parser = inputs::file())]
     image: PathBuf,
     /// Factor on both before they are shown [default: brings 95 % of the truth's values below 1]
     #[arg(long, value_name = "X")]
@@ -60,7 +62,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         },
     };
     if arguments.json {
-        output::print(&(serde_json::to_string(&comparison)? + "\n"))?;
+        output::print_raw(&(serde_json::to_string(&comparison)? + "\n"))?;
     } else {
         output::print(&text(&comparison))?;
     }

@@ -4,12 +4,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use clap::builder::NonEmptyStringValueParser;
 use glimt_core::library::Entry;
 use glimt_core::{Library, Material};
 use glimt_files::Source;
+use glimt_measured::Colours;
 use glimt_measured::utia::Encoding;
 use rayon::prelude::*;
 
+use crate::output::Overwrite;
 use crate::{Usage, inputs, output};
 
 /// Convert files: NBRDF weights or libraries to one library, models or measurements to a measured format
@@ -17,18 +20,25 @@ use crate::{Usage, inputs, output};
 /// OUT is a file, whose extension says the format, or a directory, into which every material is written
 /// as a file of its own. MERL stores isotropic, reciprocal materials: the half vector stays in one plane,
 /// and both orders of light and view are averaged. RGL stores any material, and
-/// Mitsuba's own `measured` renders it. UTIA stores directions 15° and 7.5° apart.
+/// Mitsuba's own `measured` renders it, in RGB or, with --spectral, in spectral variants; pbrt-v4 reads the latter.
+/// UTIA stores directions 15° and 7.5° apart.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Files, directories or globs to read, and last the file or directory to write
+    /// Files, directories or globs to read, and last the file or directory to write; - for the standard input
+    /// and output
     #[arg(required = true, value_names = ["IN", "OUT"], num_args = 1..)]
     paths: Vec<PathBuf>,
     /// Name of the material to convert; all if not given
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     material: Option<String>,
     /// Format to write, where the extension of OUT does not say it
     #[arg(long, value_enum, value_name = "FORMAT")]
     to: Option<Format>,
+    /// Write spectra instead of linear sRGB: smooth ones with the same colours (RGL)
+    #[arg(long)]
+    spectral: bool,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -37,7 +47,7 @@ enum Format {
     Library,
     /// MERL table (.binary), 33 MB
     Merl,
-    /// RGL table (.bsdf), 4 MB if isotropic, else 29 MB
+    /// RGL table (.bsdf), 4 MB if isotropic, else 29 MB; several times as much with --spectral
     Rgl,
     /// UTIA table (.bin), 2 MB
     Utia,
@@ -50,6 +60,15 @@ impl Format {
             Format::Merl => "binary",
             Format::Rgl => "bsdf",
             Format::Utia => "bin",
+        }
+    }
+
+    fn as_output(self) -> output::Format {
+        match self {
+            Format::Library => output::Format::Library,
+            Format::Merl => output::Format::Merl,
+            Format::Rgl => output::Format::Rgl,
+            Format::Utia => output::Format::Utia,
         }
     }
 
@@ -69,25 +88,31 @@ impl Format {
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let [inputs @ .., out] = &arguments.paths[..] else { unreachable!("paths are required") };
+    let out = &inputs::or_standard_output(out.clone());
     if inputs.is_empty() {
         return Err(Usage(format!("{} is all that was given, expected IN and OUT", out.display())).into());
     }
     let format = arguments.to.map_or_else(|| Format::of(out), Ok)?;
+    if arguments.spectral && format != Format::Rgl {
+        let extension = format.extension();
+        return Err(Usage(format!("--spectral means nothing for .{extension} files; expected .bsdf")).into());
+    }
+    let colours = if arguments.spectral { Colours::Spectra } else { Colours::Rgb };
     let into_directory = out.is_dir() || out.as_os_str().as_encoded_bytes().ends_with(b"/");
+    if format == Format::Library || !into_directory {
+        arguments.overwrite.check(out, format.as_output())?;
+    }
+    let sources = inputs::open_any(inputs, &[out])?;
     if format == Format::Library {
-        output::check_writable(out)?;
-        return write_library(out, inputs::open(inputs)?, arguments.material.as_deref());
+        return write_library(out, &sources, arguments.material.as_deref());
     }
-    if !into_directory {
-        output::check_writable(out)?;
-    }
-    let sources = inputs::open(inputs)?;
     let materials = materials(&sources, arguments.material.as_deref())?;
     if into_directory {
-        return write_tables(out, &materials, format);
+        let files = Files { directory: out, format, colours, overwrite: arguments.overwrite };
+        return files.write(&sources, &materials);
     }
     match materials[..] {
-        [(ref name, brdf)] => write_table(out, name, brdf, format),
+        [(ref name, brdf)] => write_table(out, name, brdf, format, colours),
         _ => bail!(
             "{} holds one material, but there are {}; name one with --material, or give a directory and --to",
             out.display(),
@@ -109,9 +134,9 @@ fn materials<'a>(sources: &'a [Source], only: Option<&str>) -> Result<Vec<(Strin
     Ok(materials)
 }
 
-fn write_library(path: &Path, sources: Vec<Source>, only: Option<&str>) -> Result<()> {
+fn write_library(path: &Path, sources: &[Source], only: Option<&str>) -> Result<()> {
     let mut entries: Vec<Entry> = Vec::new();
-    for source in &sources {
+    for source in sources {
         let library = source.library()?;
         match only {
             Some(name) => entries.push(library.entry(Some(name))?.clone()),
@@ -122,33 +147,54 @@ fn write_library(path: &Path, sources: Vec<Source>, only: Option<&str>) -> Resul
 }
 
 /// A file for each material.
-fn write_tables(directory: &Path, materials: &[(String, &Material)], format: Format) -> Result<()> {
-    let cannot_write = || format!("cannot write {}", directory.display());
-    std::fs::create_dir_all(directory).with_context(cannot_write)?;
-    let path = |name: &str| directory.join(format!("{name}.{}", format.extension()));
-    for (i, (name, _)) in materials.iter().enumerate() {
-        if name.contains(['/', '\\']) {
-            bail!("the material \"{name}\" cannot be the name of a file");
-        }
-        if materials[..i].iter().any(|(other, _)| other == name) {
-            bail!("two materials are named \"{name}\", and both would become {}", path(name).display());
-        }
-        output::check_writable(&path(name))?;
-    }
-    let bar = output::progress_bar(materials.len(), "write");
-    materials.par_iter().try_for_each(|(name, brdf)| {
-        write_table(&path(name), name, brdf, format)?;
-        bar.inc(1);
-        Ok(())
-    })
+struct Files<'a> {
+    directory: &'a Path,
+    format: Format,
+    colours: Colours,
+    overwrite: Overwrite,
 }
 
-fn write_table(path: &Path, name: &str, brdf: &Material, format: Format) -> Result<()> {
+impl Files<'_> {
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.join(format!("{name}.{}", self.format.extension()))
+    }
+
+    fn write(&self, sources: &[Source], materials: &[(String, &Material)]) -> Result<()> {
+        let cannot_write = || format!("cannot write {}", self.directory.display());
+        std::fs::create_dir_all(self.directory).with_context(cannot_write)?;
+        for (i, (name, _)) in materials.iter().enumerate() {
+            let path = self.path(name);
+            if name.contains(['/', '\\']) {
+                bail!("the material \"{name}\" cannot be the name of a file");
+            }
+            inputs::keep_apart(sources.iter().map(Source::path), &[&path])?;
+            if materials[..i].iter().any(|(other, _)| other == name) {
+                bail!("two materials are named \"{name}\", and both would become {}", path.display());
+            }
+            self.overwrite.check(&path, self.format.as_output())?;
+        }
+        let bar = output::progress_bar(materials.len(), "write");
+        materials.par_iter().try_for_each(|(name, brdf)| {
+            write_table(&self.path(name), name, brdf, self.format, self.colours)?;
+            bar.inc(1);
+            Ok(())
+        })
+    }
+}
+
+fn write_table(path: &Path, name: &str, brdf: &Material, format: Format, colours: Colours) -> Result<()> {
+    if format == Format::Merl && !brdf.is_isotropic() {
+        output::note(&format!(
+            "warning: \"{name}\" is anisotropic, and MERL stores isotropic materials: {} holds its half vectors of \
+             one azimuth; .bsdf and .bin keep the others",
+            path.display()
+        ));
+    }
     match format {
         Format::Merl => glimt_measured::write_merl(path, brdf)?,
         Format::Rgl => {
             let description = format!("{} model \"{name}\", written by glimt", brdf.kind());
-            glimt_measured::write_rgl(path, brdf, brdf.is_isotropic(), &description)?;
+            glimt_measured::write_rgl(path, brdf, brdf.is_isotropic(), colours, &description)?;
         }
         Format::Utia => glimt_measured::write_utia(path, brdf, Encoding::default())?,
         Format::Library => unreachable!("a library is written as a whole"),

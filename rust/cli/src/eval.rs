@@ -1,30 +1,36 @@
 //! `glimt eval`: f for pairs of directions.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
+use clap::builder::NonEmptyStringValueParser;
 use glimt_core::{SampleBrdf, Vec3};
-use glimt_files::{Array, Source};
+use glimt_files::Array;
 use rayon::prelude::*;
 
-use crate::output;
+use crate::Usage;
+use crate::inputs::{self, STANDARD};
+use crate::output::{Format, Overwrite};
 
 /// Evaluate f for pairs of directions
 ///
 /// Pairs below the horizon and pairs that hold a NaN get 0.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model library, measurement or NBRDF weights
+    /// Model library, measurement or NBRDF weights; - for the standard input
     file: PathBuf,
     /// Name of the material; not needed where the file holds one
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     material: Option<String>,
-    /// NumPy array (n, 6) of float32 or float64: light x y z, view x y z
+    /// NumPy array (n, 6) of float32 or float64: light x y z, view x y z; - for the
+    /// standard input
     #[arg(long, value_name = "PAIRS.npy")]
     pairs: PathBuf,
-    /// NumPy array (n, 3) of float32 to write: f, linear RGB
-    #[arg(short, long, value_name = "F.npy")]
+    /// NumPy array (n, 3) of float32 to write: f, linear RGB; - for the standard output
+    #[arg(short, long, value_name = "F.npy", value_parser = inputs::file_or_output())]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 /// Pairs that one task evaluates.
@@ -34,14 +40,18 @@ const LENGTH_TOLERANCE: f32 = 1e-3;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    output::check_writable(&arguments.output)?;
-    let source = Source::open(&arguments.file)?;
+    let (pairs, output) = (&arguments.pairs, &arguments.output);
+    if pairs == Path::new(STANDARD) && arguments.file == Path::new(STANDARD) {
+        return Err(Usage("the standard input can be the file or the pairs, not both".into()).into());
+    }
+    arguments.overwrite.check(output, Format::Array)?;
+    inputs::keep_apart([pairs.as_path()], &[output])?;
+    let source = inputs::open_one(&arguments.file, output)?;
     let brdf = source.brdf(arguments.material.as_deref())?;
-    let pairs = read_pairs(&arguments.pairs)?;
+    let pairs = read_pairs(pairs)?;
     let f = eval(brdf, &pairs);
     let shape = vec![pairs.len(), 3];
-    Array { shape, values: f.into_iter().flat_map(|f| f.to_array()).collect() }.save(&arguments.output)?;
-    Ok(())
+    Ok(Array { shape, values: f.into_iter().flat_map(|f| f.to_array()).collect() }.save(output)?)
 }
 
 fn eval(brdf: &dyn SampleBrdf, pairs: &[[Vec3; 2]]) -> Vec<Vec3> {
@@ -54,8 +64,13 @@ fn eval(brdf: &dyn SampleBrdf, pairs: &[[Vec3; 2]]) -> Vec<Vec3> {
 }
 
 /// Pairs (light, view).
-fn read_pairs(path: &std::path::Path) -> Result<Vec<[Vec3; 2]>> {
-    let array = Array::open(path)?;
+fn read_pairs(path: &Path) -> Result<Vec<[Vec3; 2]>> {
+    let array = if path == Path::new(STANDARD) {
+        let broken = |reason| anyhow!("the standard input is not a NumPy array (.npy): {reason}");
+        Array::from_bytes(&inputs::read_standard_input()?).map_err(broken)?
+    } else {
+        Array::open(path)?
+    };
     if array.shape.len() != 2 || array.shape[1] != 6 {
         bail!("{} has the shape {:?}, expected [n, 6]: light x y z, view x y z", path.display(), array.shape);
     }

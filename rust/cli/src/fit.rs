@@ -8,10 +8,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
-use glimt_core::Library;
+use clap::builder::NonEmptyStringValueParser;
 use glimt_core::factor::Variant;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Origin};
+use glimt_core::{Kind, Library};
 use glimt_files::{Samples, Source};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
@@ -19,12 +20,13 @@ use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
 use glimt_fit::train::Schedule;
 use glimt_fit::{
     FactorOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth,
-    doubts, fit, fit_factor,
+    doubts, doubts_of, doubts_of_tables, fit, fit_factor,
 };
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
 
 use crate::fitting::{self, HoldOut, Watch};
+use crate::output::{Format, Overwrite};
 use crate::simulated::Simulated;
 use crate::{Usage, inputs, output, spherical};
 
@@ -32,25 +34,27 @@ use crate::{Usage, inputs, output, spherical};
 ///
 /// The same files, options and seed give the same library, on any number of threads. An interrupt
 /// (Ctrl-C) stops the fit and saves a checkpoint beside the output, and so does every minute of it; the same
-/// command with --resume goes on from it, to the same result. When the fit is done, its errors against the inputs are printed, over a
+/// command with --resume goes on from it, to the same result. Tables (factor) stop after the material at hand. When the fit is done, its errors against the inputs are printed, over a
 /// million pairs of cosine-distributed directions, and stored in the library. Scattered samples are fitted to
 /// at their own directions, every sample counting the same, but for a tenth of them, over which the errors are
 /// the means.
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Files, directories or globs to fit to
-    #[arg(required_unless_present = "from_mitsuba", value_name = "FILE")]
+    #[arg(required_unless_present = "from_mitsuba", value_name = "FILE", value_parser = inputs::file())]
     files: Vec<PathBuf>,
     /// Fit to a BSDF of Mitsuba, evaluated by Mitsuba: a scene, or a JSON dictionary of a BSDF. Needs Python
     /// with mitsuba
-    #[arg(long, value_name = "SCENE.xml|BSDF.json", conflicts_with = "files")]
+    #[arg(long, value_name = "SCENE.xml|BSDF.json", conflicts_with = "files", value_parser = inputs::file())]
     from_mitsuba: Option<PathBuf>,
     /// The id of the BSDF; not needed where the file has one
-    #[arg(long, value_name = "ID", requires = "from_mitsuba")]
+    #[arg(long, value_name = "ID", requires = "from_mitsuba", value_parser = NonEmptyStringValueParser::new())]
     bsdf: Option<String>,
     /// Library to write
-    #[arg(short, long, value_name = "LIB.safetensors")]
+    #[arg(short, long, value_name = "LIB.safetensors", value_parser = inputs::file())]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Model to fit
     #[arg(long, value_enum, default_value_t = ModelName::Hybrid)]
     model: ModelName,
@@ -163,6 +167,12 @@ pub(crate) fn parse_variant<T: DeserializeOwned>(text: &str) -> Result<T, String
 }
 
 impl Arguments {
+    /// Refuses an output that cannot be written or must not be, before any work is done.
+    fn check_output(&self) -> Result<()> {
+        self.overwrite.check_file(&self.output, Format::Library)?;
+        self.overwrite.check_file(&checkpoint_path(&self.output), Format::Checkpoint)
+    }
+
     /// Refuses options that mean nothing for the model.
     fn check(&self) -> Result<(), Usage> {
         if self.model != ModelName::Hybrid {
@@ -181,11 +191,13 @@ impl Arguments {
             ("--net", self.net.is_some()),
             ("--latent", self.latent.is_some()),
             ("--rate", self.rate.is_some()),
-            ("--resume", self.resume),
         ];
         match self.model {
             ModelName::Hybrid | ModelName::Neural => Ok(()),
-            ModelName::Ggx => self.refuse(&gradients),
+            ModelName::Ggx => {
+                self.refuse(&gradients)?;
+                self.refuse(&[("--resume", self.resume)])
+            }
             ModelName::Factor => {
                 self.refuse(&gradients)?;
                 self.refuse(&[("--paper", self.paper), ("--anisotropic", self.anisotropic)])
@@ -302,10 +314,14 @@ impl Truths {
     fn open(arguments: &Arguments) -> Result<Truths> {
         Ok(match &arguments.from_mitsuba {
             Some(scene) => {
+                inputs::keep_apart([scene.as_path()], &[&arguments.output])?;
                 let command = fitting::command(std::slice::from_ref(scene));
                 Truths::Simulated(Box::new(Simulated::start(scene, arguments.bsdf.as_deref(), &command)?))
             }
-            None => Truths::Files(inputs::open(&arguments.files)?),
+            None => {
+                let outputs = [&*arguments.output, &checkpoint_path(&arguments.output)];
+                Truths::Files(inputs::open(&arguments.files, &outputs)?)
+            }
         })
     }
 
@@ -342,7 +358,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         return run_factor(arguments, &arguments.factor()?);
     }
     let path = &arguments.output;
-    output::check_writable(path)?;
+    arguments.check_output()?;
     let checkpoint_path = checkpoint_path(path);
     let resume = arguments.resume.then(|| Checkpoint::open(&checkpoint_path)).transpose()?;
     let mut truths = Truths::open(arguments)?;
@@ -350,9 +366,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let inputs = truths.inputs(arguments)?;
     let (options, note) = arguments.options(&inputs)?;
 
-    for doubt in doubts(&inputs) {
-        eprintln!("warning: {doubt}");
-    }
+    let isotropic = inputs.iter().all(|input| input.isotropic);
+    let doubts = doubts(&inputs, options.numbers_each(inputs.len(), isotropic));
+    truths.go_on()?;
+    fitting::warn(&doubts);
     let mut watch = Watch::new()?;
     let mut keeper = Keeper::new(&checkpoint_path);
     let outcome = fit(&inputs, &options, resume, &mut |progress, state| {
@@ -360,12 +377,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             return ControlFlow::Break(());
         }
         if let Some(state) = state {
-            keeper.keep(|| Checkpoint::new(&inputs, &options, state.clone()));
+            keeper.keep(|path| Ok(Checkpoint::new(&inputs, &options, state.clone()).save(path)?));
         }
         watch.report(progress)
-    })?;
+    });
     truths.go_on()?;
-    let mut entries = match outcome {
+    let mut entries = match outcome? {
         Outcome::Done(entries) => entries,
         Outcome::Stopped(None) => bail!("stopped before there was anything to save"),
         Outcome::Stopped(Some(checkpoint)) => {
@@ -379,26 +396,34 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         }
     };
     watch.finish();
-    keep(arguments, &mut entries, &inputs, &held)?;
-    if arguments.resume || keeper.kept {
-        // The library is written, so that a checkpoint which stays does no harm.
-        let _ = std::fs::remove_file(&checkpoint_path);
-    }
+    keep(arguments, &mut entries, &truths, &inputs, &held)?;
+    keeper.forget(arguments.resume);
     if !arguments.json {
         output::print(&spherical::notes(note, &entries))?;
     }
     fitting::print_errors(path, &entries, arguments.json)
 }
 
-/// Fits tables, which takes seconds a material and no checkpoints.
+/// Fits tables, which takes seconds a material: what is kept on the way is the materials that are finished, as
+/// the library that they are.
 fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
     let path = &arguments.output;
-    output::check_writable(path)?;
+    arguments.check_output()?;
+    let checkpoint_path = checkpoint_path(path);
     let truths = Truths::open(arguments)?;
     let inputs = truths.inputs(arguments)?;
-    let bar = output::progress_bar(inputs.len(), "fit");
+    let doubts = [doubts(&inputs, None), doubts_of_tables(&inputs)].concat();
+    truths.go_on()?;
+    fitting::warn(&doubts);
     let mut entries = Vec::new();
-    for input in &inputs {
+    if arguments.resume {
+        entries = finished(&checkpoint_path, &inputs, options)?;
+    }
+    let watch = Watch::new()?;
+    let mut keeper = Keeper::new(&checkpoint_path);
+    let bar = output::progress_bar(inputs.len(), "fit");
+    bar.set_position(entries.len() as u64);
+    for input in &inputs[entries.len()..] {
         let Truth::Brdf(brdf) = input.truth else {
             bail!(
                 "\"{}\" is scattered samples, to which no tables can be fitted; expected a function",
@@ -413,20 +438,61 @@ fn run_factor(arguments: &Arguments, options: &FactorOptions) -> Result<()> {
         }
         entries.push(Entry { name: input.name.clone(), material: fit.factor.into(), origin });
         bar.inc(1);
+        let save = |path: &Path| Ok(Library::new(path, entries.clone())?.save()?);
+        if watch.is_stopped() && entries.len() < inputs.len() {
+            save(&checkpoint_path)?;
+            bail!(
+                "stopped after {} of {} materials; the same command with --resume goes on from {}",
+                entries.len(),
+                inputs.len(),
+                checkpoint_path.display()
+            );
+        }
+        keeper.keep(save);
     }
-    keep(arguments, &mut entries, &inputs, &BTreeMap::new())?;
+    keep(arguments, &mut entries, &truths, &inputs, &BTreeMap::new())?;
+    keeper.forget(arguments.resume);
     fitting::print_errors(path, &entries, arguments.json)
+}
+
+/// The materials that an interrupted fit of tables has finished.
+///
+/// # Errors
+/// There is no checkpoint, or it is of other materials or options.
+fn finished(checkpoint: &Path, inputs: &[Input], options: &FactorOptions) -> Result<Vec<Entry>> {
+    let hint = "no fit of this output was interrupted: leave --resume out to start one";
+    if !checkpoint.exists() {
+        bail!("the checkpoint {} is not there; {hint}", checkpoint.display());
+    }
+    let library = Library::open(checkpoint)?;
+    let is_of = |entry: &Entry, input: &Input| {
+        let asked = Origin { seed: Some(options.seed), ..input.origin.clone() };
+        entry.name == input.name
+            && Origin { metrics: BTreeMap::new(), ..entry.origin.clone() } == asked
+            && library.kind() == Kind::Factor
+    };
+    let entries = library.entries();
+    if entries.len() > inputs.len() || !entries.iter().zip(inputs).all(|(entry, input)| is_of(entry, input)) {
+        bail!(
+            "the checkpoint {} is of a fit of other materials or with other options; expected the same command",
+            checkpoint.display()
+        );
+    }
+    Ok(entries.to_vec())
 }
 
 /// Saves the library before it is measured, which takes a while, and again with its errors.
 fn keep(
     arguments: &Arguments,
     entries: &mut [Entry],
+    truths: &Truths,
     inputs: &[Input],
     held: &BTreeMap<String, Samples>,
 ) -> Result<()> {
     Library::new(&arguments.output, entries.to_vec())?.save()?;
+    fitting::warn(&doubts_of(entries));
     fitting::measure(entries, inputs, held);
+    truths.go_on()?;
     Library::new(&arguments.output, entries.to_vec())?.save()?;
     Ok(())
 }
@@ -447,15 +513,24 @@ impl<'a> Keeper<'a> {
         Keeper { path, last: Instant::now(), kept: false }
     }
 
-    fn keep(&mut self, checkpoint: impl FnOnce() -> Checkpoint) {
+    /// Has a checkpoint saved, if it is time for one.
+    fn keep(&mut self, save: impl FnOnce(&Path) -> Result<()>) {
         if self.last.elapsed() < Self::INTERVAL {
             return;
         }
         self.last = Instant::now();
-        match checkpoint().save(self.path) {
+        match save(self.path) {
             Ok(()) => self.kept = true,
             // A full disk need not be the end of the fit.
-            Err(error) => eprintln!("warning: {error}"),
+            Err(error) => output::note(&format!("warning: {error:#}")),
+        }
+    }
+
+    /// Removes the checkpoint of this fit, or of the one that was `resumed`.
+    fn forget(&self, resumed: bool) {
+        if resumed || self.kept {
+            // The library is written, so that a checkpoint which stays does no harm.
+            let _ = std::fs::remove_file(self.path);
         }
     }
 }
@@ -481,7 +556,7 @@ mod tests {
         let at = |step| {
             let options = options.clone();
             let state = State { step, ..State::new(vec![1.0, 2.0]) };
-            move || Checkpoint { options, materials: Vec::new(), state }
+            move |path: &Path| Ok(Checkpoint { options, materials: Vec::new(), state }.save(path)?)
         };
         let mut keeper = Keeper::new(&path);
         keeper.keep(at(1));
@@ -506,7 +581,8 @@ mod tests {
         let mut keeper = Keeper { path: &path, last: Instant::now() - Keeper::INTERVAL, kept: false };
         let options =
             Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(100, 0) };
-        keeper.keep(|| Checkpoint { options, materials: Vec::new(), state: State::new(vec![1.0]) });
+        let checkpoint = Checkpoint { options, materials: Vec::new(), state: State::new(vec![1.0]) };
+        keeper.keep(|path| Ok(checkpoint.save(path)?));
         assert!(!keeper.kept);
     }
 }

@@ -10,9 +10,10 @@ use anyhow::{Context, Result, bail};
 use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{Brdf, Material};
+use glimt_disk::printable;
 use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::Progress;
-use glimt_fit::{Input, Truth, held_out};
+use glimt_fit::{Doubt, Input, Truth, held_out};
 use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
 use indicatif::ProgressBar;
@@ -87,17 +88,27 @@ pub fn inputs<'a>(sources: &'a [Source], command: &str, samples_isotropic: bool)
 #[must_use]
 pub fn command(files: &[PathBuf]) -> String {
     let mut words = vec!["glimt".to_owned()];
-    let mut arguments = std::env::args().skip(1);
+    let mut arguments = std::env::args_os().skip(1);
     while let Some(argument) = arguments.next() {
+        if files.iter().any(|file| file.as_os_str() == argument) {
+            continue;
+        }
+        let argument = argument.to_string_lossy().into_owned();
         match argument.as_str() {
-            "--resume" | "--json" => {}
+            "--resume" | "--json" | "--force" => {}
             "-o" | "--output" | "--threads" => drop(arguments.next()),
-            _ if files.contains(&PathBuf::from(&argument)) => {}
             _ if argument.starts_with("--output=") || argument.starts_with("--threads=") => {}
             _ => words.push(argument),
         }
     }
     words.join(" ")
+}
+
+/// Says what is hardly meant, a line each.
+pub fn warn(doubts: &[Doubt]) {
+    for doubt in doubts {
+        output::note(&format!("warning: {doubt}"));
+    }
 }
 
 /// Shows the progress of a fit on a terminal, and stops it when the user wants that.
@@ -133,11 +144,16 @@ impl Watch {
         self.bar.set_length(progress.steps);
         self.bar.set_position(progress.step);
         self.bar.set_message(format!("loss {:.3e}, {:.0} steps/s", progress.loss, progress.rate));
-        if self.stop.load(Ordering::Relaxed) {
+        if self.is_stopped() {
             self.bar.finish_and_clear();
             return ControlFlow::Break(());
         }
         ControlFlow::Continue(())
+    }
+
+    /// Whether the user wants the fit to stop.
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
     }
 
     /// Takes the bar away.
@@ -215,14 +231,14 @@ pub fn print_errors(path: &Path, entries: &[Entry], json: bool) -> Result<()> {
     if json {
         let errors: BTreeMap<&str, _> =
             entries.iter().map(|entry| (entry.name.as_str(), &entry.origin.metrics)).collect();
-        let object = serde_json::json!({ "file": path, "materials": errors });
-        return output::print(&format!("{object}\n"));
+        let object = serde_json::json!({ "file": path.display().to_string(), "materials": errors });
+        return output::print_raw(&format!("{object}\n"));
     }
     let columns: Vec<_> = COLUMNS
         .into_iter()
         .filter(|(key, ..)| entries.iter().all(|entry| entry.origin.metrics.contains_key(*key)))
         .collect();
-    let width = entries.iter().map(|entry| entry.name.chars().count()).max().unwrap_or(0).max(8);
+    let width = entries.iter().map(|entry| printable(&entry.name).chars().count()).max().unwrap_or(0).max(8);
     let row = |name: &str, cell: &dyn Fn(&str, &str, usize) -> String| {
         let cells = columns.iter().map(|&(key, heading, decimals)| {
             format!("  {:>1$}", cell(key, heading, decimals), heading.len().max(decimals + 2))
@@ -231,7 +247,9 @@ pub fn print_errors(path: &Path, entries: &[Entry], json: bool) -> Result<()> {
     };
     let mut text = row("material", &|_, heading, _| heading.to_owned());
     for entry in entries {
-        text += &row(&entry.name, &|key, _, decimals| format!("{:.decimals$}", entry.origin.metrics[key]));
+        text += &row(&printable(&entry.name), &|key, _, decimals| {
+            format!("{:.decimals$}", entry.origin.metrics[key])
+        });
     }
     if entries.len() > 1 {
         let mean = |key: &str| {

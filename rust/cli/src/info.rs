@@ -1,7 +1,7 @@
 //! `glimt info`: what a file holds.
 
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use glimt_core::hybrid::Form;
@@ -9,16 +9,18 @@ use glimt_core::library::{Entry, Origin};
 use glimt_core::network::Network;
 use glimt_core::sampler::Sampler;
 use glimt_core::tabulated::Tabulated;
-use glimt_core::{Library, Material, Model, Vec3};
+use glimt_core::{Library, Material, Model, Oddity, Vec3};
+use glimt_disk::printable;
 use glimt_files::{Samples, Source};
 use serde::Serialize;
 
-use crate::{inputs, output};
+use crate::inputs::{self, STANDARD, StandardInput};
+use crate::output;
 
 /// Show what files hold: model, materials, bytes, provenance
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Files, directories or globs
+    /// Files, directories or globs; - for the standard input
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
     /// One JSON object per file and line
@@ -28,14 +30,16 @@ pub struct Arguments {
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    for (i, path) in inputs::expand(&arguments.files)?.into_iter().enumerate() {
-        let info = Info::new(&Source::open(&path)?)?;
-        if arguments.json {
-            output::print(&(serde_json::to_string(&info)? + "\n"))?;
-        } else {
-            let separator = if i > 0 { "\n" } else { "" };
-            output::print(&format!("{separator}{}", info.text()))?;
+    if arguments.files == [Path::new(STANDARD)] {
+        let input = StandardInput::read()?;
+        let info = Info::new(&input.open()?)?;
+        return Info { file: STANDARD.to_owned(), ..info }.print(arguments.json);
+    }
+    for (i, path) in inputs::expand(&arguments.files, &[])?.into_iter().enumerate() {
+        if i > 0 && !arguments.json {
+            output::print("\n")?;
         }
+        Info::new(&Source::open(&path)?)?.print(arguments.json)?;
     }
     Ok(())
 }
@@ -43,7 +47,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
 /// What a file holds.
 #[derive(Serialize)]
 struct Info {
-    file: PathBuf,
+    file: String,
     bytes: u64,
     kind: &'static str,
     #[serde(flatten)]
@@ -66,18 +70,16 @@ enum Content {
         material: String,
         description: String,
         isotropic: bool,
-        /// Negative values in the file, which f takes as 0.
-        clamped: usize,
+        /// What is odd about the file, and what was made of it.
+        odd: Vec<Oddity>,
         sampler: SamplerInfo,
     },
     Samples {
         material: String,
         /// Samples above the horizon.
         samples: usize,
-        /// Negative values in the file, which are taken as 0.
-        clamped: usize,
-        /// Samples at the horizon, which are left out.
-        grazing: usize,
+        /// What is odd about the file, and what was made of it.
+        odd: Vec<Oddity>,
         /// Largest angle between the normal and a direction, in degrees: of the lights, of the views.
         largest_theta: [f32; 2],
         /// Mean of f.
@@ -120,8 +122,9 @@ struct MaterialInfo {
 
 impl Info {
     fn new(source: &Source) -> Result<Info> {
-        let file = source.path().to_owned();
-        let metadata = std::fs::metadata(&file).with_context(|| format!("cannot read {}", file.display()))?;
+        // JSON holds no other names than those in UTF-8.
+        let file = source.path().display().to_string();
+        let metadata = std::fs::metadata(source.path()).with_context(|| format!("cannot read {file}"))?;
         let content = match source {
             Source::Library(library) => match &library.entries()[0] {
                 Entry { name, material: Material::Tabulated(table), .. } => table_content(name, table),
@@ -132,32 +135,39 @@ impl Info {
         Ok(Info { file, bytes: metadata.len(), kind: source.kind(), content })
     }
 
+    fn print(&self, json: bool) -> Result<()> {
+        if json {
+            output::print_raw(&(serde_json::to_string(self)? + "\n"))
+        } else {
+            output::print(&self.text())
+        }
+    }
+
     /// For people.
     fn text(&self) -> String {
         let mut text = String::new();
-        let head = format!("{}: {}", self.file.display(), self.kind);
+        let head = format!("{}: {}", printable(&self.file), self.kind);
         match &self.content {
-            Content::Measured { material, description, isotropic, clamped, sampler } => {
+            Content::Measured { material, description, isotropic, odd, sampler } => {
                 line(&mut text, &format!("{head} measurement, {} bytes", thousands(self.bytes)));
-                line(&mut text, &format!("  material     {material}"));
+                line(&mut text, &format!("  material     {}", printable(material)));
                 if !description.is_empty() {
-                    line(&mut text, &format!("  description  {description}"));
+                    line(&mut text, &format!("  description  {}", printable(description)));
                 }
                 let symmetry = if *isotropic { "isotropic" } else { "anisotropic" };
                 line(&mut text, &format!("  symmetry     {symmetry}"));
-                line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
+                odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
                 line(&mut text, &format!("  sampler      {}", sampler.text()));
             }
-            Content::Samples { material, samples, clamped, grazing, largest_theta, mean, largest } => {
+            Content::Samples { material, samples, odd, largest_theta, mean, largest } => {
                 let samples = thousands(*samples as u64);
                 line(&mut text, &format!("{head}, {samples} pairs, {} bytes", thousands(self.bytes)));
-                line(&mut text, &format!("  material     {material}"));
+                line(&mut text, &format!("  material     {}", printable(material)));
                 let [light, view] = largest_theta;
                 line(&mut text, &format!("  from normal  light up to {light:.1}°, view up to {view:.1}°"));
                 let rgb = |f: &[f32; 3]| f.map(|f| format!("{f:.4}")).join(" ");
                 line(&mut text, &format!("  f            mean {}, largest {}", rgb(mean), rgb(largest)));
-                line(&mut text, &format!("  negative     {} values, taken as 0", thousands(*clamped as u64)));
-                line(&mut text, &format!("  horizon      {} samples, left out", thousands(*grazing as u64)));
+                odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
             }
             Content::Library { form, network, bytes_per_material, shared_bytes, materials } => {
                 let count = materials.len();
@@ -175,9 +185,13 @@ impl Info {
                 }
                 let (own, shared) = (thousands(*bytes_per_material as u64), thousands(*shared_bytes as u64));
                 line(&mut text, &format!("  size         {own} bytes per material and {shared} shared"));
-                let width = materials.iter().map(|material| material.name.chars().count()).max().unwrap_or(0);
+                let width = materials
+                    .iter()
+                    .map(|material| printable(&material.name).chars().count())
+                    .max()
+                    .unwrap_or(0);
                 for material in materials {
-                    line(&mut text, &format!("  {:width$}{}", material.name, material.text()));
+                    line(&mut text, &format!("  {:width$}{}", printable(&material.name), material.text()));
                 }
             }
         }
@@ -206,7 +220,7 @@ fn table_content(name: &str, material: &Tabulated) -> Content {
         material: name.to_owned(),
         description: table.description().to_owned(),
         isotropic: table.is_isotropic(),
-        clamped: table.clamped(),
+        odd: table.oddities().to_vec(),
         sampler: SamplerInfo::new(material.sampler()),
     }
 }
@@ -220,8 +234,7 @@ fn samples_content(material: String, samples: &Samples) -> Content {
     Content::Samples {
         material,
         samples: samples.len(),
-        clamped: samples.clamped,
-        grazing: samples.grazing,
+        odd: samples.oddities(),
         largest_theta: [lowest(&samples.light), lowest(&samples.view)],
         mean: std::array::from_fn(mean),
         largest: samples.f.iter().fold(Vec3::ZERO, |a, &f| a.max(f)).to_array(),
@@ -273,7 +286,7 @@ impl MaterialInfo {
             }
         }
         if !self.origin.source.is_empty() {
-            write!(text, "  from {}", self.origin.source).expect("a string takes all");
+            write!(text, "  from {}", printable(&self.origin.source)).expect("a string takes all");
         }
         text
     }

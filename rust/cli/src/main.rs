@@ -7,6 +7,7 @@ mod bench;
 mod check;
 mod compare;
 mod convert;
+mod edit;
 mod eval;
 mod fit;
 mod fitting;
@@ -18,8 +19,10 @@ mod sample;
 mod simulated;
 mod spherical;
 
+use std::borrow::Cow;
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 /// Compact and neural BRDFs, fitted to measured reflectance.
@@ -66,16 +69,31 @@ impl std::fmt::Display for Usage {
 impl std::error::Error for Usage {}
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
-    match run(arguments) {
+    let done = match Arguments::try_parse() {
+        Ok(arguments) => run(arguments),
+        Err(answer) if answer.use_stderr() => return refuse(&answer),
+        Err(help) => help.print().context("cannot write to the standard output"),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         // Whoever read our output has seen enough, as `head` does.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", one_line(&error));
+            output::note(&format!("error: {}", one_line(&error)));
             if error.is::<Usage>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
+}
+
+/// Says why arguments cannot be parsed; in colours where a terminal has them.
+fn refuse(error: &clap::Error) -> ExitCode {
+    let text = error.to_string();
+    match glimt_disk::printable_lines(&text) {
+        // Nobody need be able to read it.
+        Cow::Borrowed(_) => drop(error.print()),
+        Cow::Owned(escaped) => escaped.lines().for_each(output::note),
+    }
+    ExitCode::from(2)
 }
 
 fn run(arguments: Arguments) -> anyhow::Result<()> {
@@ -106,9 +124,10 @@ fn one_line(error: &anyhow::Error) -> String {
             line = format!("{line}: {cause}");
         }
     }
-    line.replace('\n', " ")
+    line
 }
 
 fn is_broken_pipe(error: &anyhow::Error) -> bool {
-    error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+    let is_one = |e: &std::io::Error| e.kind() == std::io::ErrorKind::BrokenPipe;
+    error.chain().any(|cause| cause.downcast_ref().is_some_and(is_one))
 }

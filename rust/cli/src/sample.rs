@@ -4,14 +4,16 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Result;
+use clap::builder::NonEmptyStringValueParser;
 use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Sample, SampleBrdf, Vec3};
-use glimt_files::{Array, Source};
+use glimt_files::Array;
 use rand::{Rng, RngExt};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
-use crate::output;
+use crate::inputs;
+use crate::output::{Format, Overwrite};
 
 /// Sample light directions for a view direction
 ///
@@ -19,10 +21,10 @@ use crate::output;
 /// whatever the number of threads.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model library, measurement or NBRDF weights
+    /// Model library, measurement or NBRDF weights; - for the standard input
     file: PathBuf,
     /// Name of the material; not needed where the file holds one
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     material: Option<String>,
     /// lobes, table, table:paper or table:VIEWSxRINGSxSECTORS [default: the material's own]
     #[arg(long, value_name = "SAMPLER")]
@@ -36,9 +38,12 @@ pub struct Arguments {
     /// Seed of the random numbers
     #[arg(long, default_value_t = 0, value_name = "SEED")]
     seed: u64,
-    /// NumPy array (n, 7) of float32 to write: light x y z, pdf (1/sr), weight f·cosθ/pdf r g b
-    #[arg(short, long, value_name = "S.npy")]
+    /// NumPy array (n, 7) of float32 to write: light x y z, pdf (1/sr), weight f·cosθ/pdf r g b; - for the
+    /// standard output
+    #[arg(short, long, value_name = "S.npy", value_parser = inputs::file_or_output())]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
 }
 
 /// A direction above the horizon.
@@ -66,8 +71,8 @@ const CHUNK: usize = 4096;
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
-    output::check_writable(&arguments.output)?;
-    let source = Source::open(&arguments.file)?;
+    arguments.overwrite.check(&arguments.output, Format::Array)?;
+    let source = inputs::open_one(&arguments.file, &arguments.output)?;
     let material = source.brdf(arguments.material.as_deref())?;
     let material = arguments.sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
     let count = arguments.count as usize;

@@ -46,6 +46,9 @@ impl Simulated {
     /// # Errors
     /// Python, Mitsuba or the package is not installed; the scene cannot be loaded or has no such BSDF.
     pub fn start(scene: &Path, bsdf: Option<&str>, command: &str) -> Result<Simulated> {
+        if scene.to_str().is_none() {
+            bail!("{} is no name in UTF-8, which Mitsuba needs", scene.display());
+        }
         let python = python();
         let mut process = Command::new(&python);
         process.args(["-m", "glimt.simulate"]).arg(scene).args(bsdf);
@@ -60,7 +63,9 @@ impl Simulated {
         answers.read_line(&mut line).context("the simulation answers no text")?;
         let (name, anisotropic) = match serde_json::from_str(&line) {
             Ok(Hello::Ready { name, anisotropic }) => (name, anisotropic),
-            Ok(Hello::Failed { error }) => bail!("{error}"),
+            Ok(Hello::Failed { error }) => {
+                bail!("{}", error.split_whitespace().collect::<Vec<_>>().join(" "))
+            }
             Err(_) => {
                 let status = child.wait()?;
                 bail!(
@@ -102,8 +107,7 @@ impl Simulated {
         }
         let mut answer = vec![0; size_of_val(out)];
         let mut pipe = self.pipe.lock().unwrap_or_else(PoisonError::into_inner);
-        let asked = pipe.requests.write_all(&request).and_then(|()| pipe.requests.flush());
-        match asked.and_then(|()| pipe.answers.read_exact(&mut answer)) {
+        match pipe.ask(&request, &mut answer) {
             Ok(()) => {
                 for (f, bytes) in out.iter_mut().zip(answer.chunks_exact(size_of::<Vec3>())) {
                     let number =
@@ -111,11 +115,37 @@ impl Simulated {
                     *f = Vec3::new(number(0), number(4), number(8));
                 }
             }
-            Err(error) => {
+            Err(reason) => {
                 out.fill(Vec3::ZERO);
-                let _ = self.failure.set(format!("the simulation of \"{}\" ended: {error}", self.name));
+                let _ = self.failure.set(format!("the simulation of \"{}\" {reason}", self.name));
             }
         }
+    }
+}
+
+/// Longest message of an exception that is passed on, in bytes.
+const MOST_MESSAGE: u64 = 4096;
+
+impl Pipe {
+    /// Sends a request and fills `answer`.
+    ///
+    /// # Errors
+    /// In words, what the BSDF threw, or how the process ended.
+    fn ask(&mut self, request: &[u8], answer: &mut [u8]) -> Result<(), String> {
+        let mut length = [0; 4];
+        let asked = self.requests.write_all(request).and_then(|()| self.requests.flush());
+        let answered = asked.and_then(|()| self.answers.read_exact(&mut length));
+        let length = u32::from_le_bytes(length);
+        if answered.is_ok() && length > 0 {
+            let mut message = Vec::new();
+            // A message that is cut short is better than none.
+            let _ = self.answers.by_ref().take(u64::from(length).min(MOST_MESSAGE)).read_to_end(&mut message);
+            return Err(format!("threw {}", String::from_utf8_lossy(&message)));
+        }
+        answered.and_then(|()| self.answers.read_exact(answer)).map_err(|error| match self.child.wait() {
+            Ok(status) => format!("ended with {status}"),
+            Err(_) => format!("ended: {error}"),
+        })
     }
 }
 

@@ -277,11 +277,112 @@ fn what_is_hardly_meant_is_said() {
     let folder = Folder::new();
     std::fs::write(folder.path("black.csv"), "0,0,1,0,0,1,0,0,0\n").unwrap();
     std::fs::write(folder.path("again.csv"), "0,0,1,0,0,1,0,0,0\n").unwrap();
-    let output =
-        folder.command(&["fit", "--model", "ggx", "black.csv", "again.csv", "-o", "x.safetensors"]).output();
-    let output = output.unwrap();
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success(), "{stderr}");
-    assert!(stderr.contains("warning: material \"black\" is black"), "{stderr}");
-    assert!(stderr.contains("\"black\" and \"again\" come from files with the same content"), "{stderr}");
+    let (_, warnings) =
+        folder.warns(&["fit", "--model", "ggx", "black.csv", "again.csv", "-o", "x.safetensors"]);
+    let warnings = warnings.join("\n");
+    assert!(warnings.contains("warning: material \"black\" is black"), "{warnings}");
+    assert!(warnings.contains("\"black\" and \"again\" come from files with the same content"), "{warnings}");
+    assert!(warnings.contains("\"black\" has 1 samples of 3 values, fewer than the 7 numbers"), "{warnings}");
+}
+
+/// Samples of a Lambertian surface, `f` of each by its number.
+fn scan(count: usize, f: impl Fn(usize) -> f32) -> String {
+    let row = |i: usize| {
+        let z = |step: f32| 0.2 + 0.8 * (i as f32 * step).fract();
+        let direction = |z: f32, phi: f32| {
+            let r = (1.0 - z * z).sqrt();
+            format!("{},{},{z}", r * phi.cos(), r * phi.sin())
+        };
+        let (light, view) = (direction(z(0.618_034), i as f32), direction(z(0.754_878), 2.7 * i as f32));
+        format!("{light},{view},{0},{0},{0}\n", f(i))
+    };
+    (0..count).map(row).collect()
+}
+
+#[test]
+fn doubtful_samples_and_albedos_are_told_by_fit_and_add() {
+    let folder = Folder::new();
+    let write = |name: &str, text: String| std::fs::write(folder.path(name), text).unwrap();
+    write("good.csv", scan(400, |i| 0.1 + 0.01 * (i as f32 * 0.3).sin()));
+    write("few.csv", scan(2, |_| 0.1));
+    write("outlier.csv", scan(400, |i| if i == 50 { 1e30 } else { 0.1 }));
+    write("saturated.csv", scan(400, |i| if i % 40 == 7 { 4.0 } else { 0.1 + 1e-4 * i as f32 }));
+    write("bright.csv", scan(400, |i| 1.6 + 0.01 * (i as f32 * 0.3).sin()));
+
+    let fit = ["fit", "--model", "ggx", "-o", "x.safetensors", "--hold-out", "0"];
+    folder.succeeds(&[&fit[..], &["good.csv"]].concat());
+    folder.succeeds(&["fit", "--net", "16x2", "--steps", "100", "lib.safetensors", "-o", "base.safetensors"]);
+    let add = ["add", "base.safetensors", "--steps", "10", "--hold-out", "0", "-o", "y.safetensors"];
+    for (file, expected) in [
+        ("few.csv", "\"few\" has 2 samples of 3 values, fewer than the "),
+        ("outlier.csv", "\"outlier\" has outliers: 1 of its samples, from 1.000e30 on"),
+        ("saturated.csv", "\"saturated\" looks saturated: 10 of its samples share the largest value, 4"),
+    ] {
+        for command in [&fit[..], &add] {
+            let (_, warnings) = folder.warns(&[command, &[file]].concat());
+            let said = warnings.iter().filter(|warning| warning.contains(expected)).count();
+            assert_eq!(said, 1, "{file}: {warnings:?}");
+        }
+    }
+    let hybrid = ["fit", "--net", "16x2", "--steps", "300", "-o", "z.safetensors", "bright.csv"];
+    let (_, warnings) = folder.warns(&hybrid);
+    let expected = "\"bright\" reflects more light than arrives: its fitted albedo is ";
+    assert!(warnings.iter().any(|warning| warning.contains(expected)), "{warnings:?}");
+}
+
+#[test]
+fn info_says_what_is_odd_about_files() {
+    let folder = Folder::new();
+    let measured = std::fs::read(folder.path("cloth.bin")).unwrap();
+    let mut odd = measured.clone();
+    odd[..8].copy_from_slice(&(-3.0_f64).to_le_bytes());
+    odd.push(b'\n');
+    std::fs::write(folder.path("odd.bin"), odd).unwrap();
+    std::fs::write(folder.path("odd.csv"), "0,0,1,1,0,0,1,1,1\n0,0,1,0,0,1,1,-1,1\n").unwrap();
+    let text = folder.succeeds(&["info", "odd.bin", "odd.csv"]);
+    for line in [
+        "  odd          1 negative number of f, taken as 0\n  odd          1 bytes after the end, ignored\n",
+        "  odd          1 negative number of f, taken as 0\n  odd          1 samples at the horizon, left out\n",
+    ] {
+        assert!(text.contains(line), "{text}");
+    }
+    assert!(!folder.succeeds(&["info", "cloth.bin"]).contains("odd"));
+    let json: serde_json::Value =
+        serde_json::from_str(&folder.succeeds(&["info", "--json", "odd.bin"])).unwrap();
+    let expected = serde_json::json!([
+        { "kind": "negative", "what": "f", "count": 1 },
+        { "kind": "trailing", "bytes": 1 },
+    ]);
+    assert_eq!(json["odd"], expected);
+}
+
+#[test]
+fn conversions_that_drop_anisotropy_say_so_and_the_others_do_not() {
+    let folder = Folder::new();
+    let (_, warnings) = folder.warns(&["convert", "cloth.bin", "cloth.binary"]);
+    assert_eq!(warnings.len(), 1);
+    assert!(warnings[0].contains("\"cloth\" is anisotropic, and MERL stores isotropic"), "{warnings:?}");
+    let (_, warnings) = folder.warns(&["fit", "--model", "factor", "cloth.bin", "-o", "tables.safetensors"]);
+    assert!(warnings[0].contains("\"cloth\" is anisotropic, and the model is not"), "{warnings:?}");
+    folder.succeeds(&["convert", "cloth.bin", "again.bin"]);
+}
+
+#[test]
+fn convert_writes_spectra_on_request() {
+    let folder = Folder::new();
+    let grey = ["convert", "lib.safetensors", "--material", "orange"];
+    folder.succeeds(&[&grey[..], &["rgb.bsdf"]].concat());
+    folder.succeeds(&[&grey[..], &["--spectral", "spectral.bsdf"]].concat());
+    let bytes = std::fs::read(folder.path("spectral.bsdf")).unwrap();
+    let (file, _) =
+        glimt_measured::tensor::TensorFile::parse(std::path::Path::new("spectral.bsdf"), &bytes).unwrap();
+    assert!(file.get("spectra").is_some() && file.get("wavelengths").is_some() && file.get("rgb").is_none());
+    let f = |name: &str| {
+        let source = Source::open(folder.path(name)).unwrap();
+        source.brdf(None).unwrap().eval(Vec3::new(-0.48, 0.36, 0.8), Vec3::new(0.36, 0.48, 0.8))
+    };
+    let (rgb, spectral) = (f("rgb.bsdf"), f("spectral.bsdf"));
+    assert!((rgb - spectral).abs().max_element() < 0.01 * rgb.max_element(), "{rgb} {spectral}");
+    let line = folder.fails(2, &[&grey[..], &["--spectral", "x.binary"]].concat());
+    assert!(line.contains("--spectral means nothing for .binary"), "{line}");
 }

@@ -186,24 +186,60 @@ fn a_simulation_that_does_not_start_is_told_in_a_line() {
     }
 }
 
-/// A stand-in for Mitsuba that speaks its protocol: f = ½ everywhere.
+/// A stand-in for Mitsuba that speaks its protocol; `answer` is Python that writes what `n` pairs are answered by.
 #[cfg(unix)]
-#[test]
-fn tables_are_fitted_to_a_simulation() {
+fn stand_in(folder: &Folder, answer: &str) -> std::path::PathBuf {
     use std::os::unix::fs::PermissionsExt;
 
-    let folder = Folder::new();
-    let server = "#!/usr/bin/env python3\n\
-        import struct, sys\n\
-        sys.stdout.write('{\"name\": \"grey\", \"anisotropic\": false}\\n'); sys.stdout.flush()\n\
-        read, write = sys.stdin.buffer.read, sys.stdout.buffer.write\n\
-        while header := read(4):\n\
-        \x20   n, = struct.unpack('<I', header)\n\
-        \x20   read(24 * n); write(struct.pack('<f', 0.5) * (3 * n)); sys.stdout.buffer.flush()\n";
+    let server = format!(
+        "#!/usr/bin/env python3\n\
+         import os, signal, struct, sys\n\
+         sys.stdout.write('{{\"name\": \"grey\", \"anisotropic\": false}}\\n'); sys.stdout.flush()\n\
+         read, write = sys.stdin.buffer.read, sys.stdout.buffer.write\n\
+         while header := read(4):\n\
+         \x20   n, = struct.unpack('<I', header)\n\
+         \x20   read(24 * n)\n\
+         \x20   {answer}\n\
+         \x20   sys.stdout.buffer.flush()\n"
+    );
     let python = folder.path("python");
     std::fs::write(&python, server).unwrap();
     std::fs::set_permissions(&python, std::fs::Permissions::from_mode(0o755)).unwrap();
     std::fs::write(folder.path("bsdf.json"), "{}").unwrap();
+    python
+}
+
+#[cfg(unix)]
+#[test]
+fn what_a_simulation_throws_is_passed_on_and_nothing_else_is_said() {
+    for (answer, expected) in [
+        (
+            "m = b'ValueError: no data'; write(struct.pack('<I', len(m)) + m); sys.exit(1)",
+            "error: the simulation of \"grey\" threw ValueError: no data\n",
+        ),
+        ("sys.exit(3)", "error: the simulation of \"grey\" ended with exit status: 3\n"),
+        (
+            "os.kill(os.getpid(), signal.SIGKILL)",
+            "error: the simulation of \"grey\" ended with signal: 9 (SIGKILL)\n",
+        ),
+    ] {
+        for model in ["ggx", "factor", "hybrid"] {
+            let folder = Folder::new();
+            let python = stand_in(&folder, answer);
+            let fit = ["fit", "--model", model, "--from-mitsuba", "bsdf.json", "-o", "new.safetensors"];
+            let output = folder.command(&fit).env("GLIMT_PYTHON", &python).output().unwrap();
+            assert_eq!(output.status.code(), Some(1), "{model}");
+            assert_eq!(String::from_utf8(output.stderr).unwrap(), expected, "{model}");
+            assert!(!folder.path("new.safetensors").exists());
+        }
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn tables_are_fitted_to_a_simulation() {
+    let folder = Folder::new();
+    let python = stand_in(&folder, "write(bytes(4) + struct.pack('<f', 0.5) * (3 * n))");
     let mut command =
         folder.command(&["fit", "--model", "factor", "--variant", "g-from-d", "-o", "sim.safetensors"]);
     let output = command.args(["--from-mitsuba", "bsdf.json"]).env("GLIMT_PYTHON", &python).output().unwrap();

@@ -75,6 +75,12 @@ pub trait Brdf: Send + Sync {
             }
         }
     }
+
+    /// Whether f is known for this pair. A measurement has holes: [`Brdf::eval`] fills them from what lies
+    /// around them, but nothing should be fitted to that or measured against it.
+    fn has_data(&self, _light: Vec3, _view: Vec3) -> bool {
+        true
+    }
 }
 
 /// # Panics

@@ -49,6 +49,18 @@ pub enum Error {
         /// The names in the library.
         materials: Vec<String>,
     },
+    /// Two materials cannot be mixed.
+    #[error("{}: \"{a}\" and \"{b}\" {reason}", path.display())]
+    Mix {
+        /// The file.
+        path: PathBuf,
+        /// The first material.
+        a: String,
+        /// The second.
+        b: String,
+        /// Why, in words that go on from the names.
+        reason: String,
+    },
     /// A parameter of a material is out of its range, or the model has no such parameter.
     #[error("material \"{material}\": {reason}")]
     Parameter {

@@ -60,6 +60,10 @@ impl Model for Ggx {
     fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, String> {
         Ggx::new(microfacet)
     }
+
+    fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
+        Ggx::new(self.microfacet.mix(&other.microfacet, t))
+    }
 }
 
 impl Kernel for Ggx {

@@ -7,13 +7,15 @@
 //!
 //! exp a can explode where the fit never looked. a is therefore limited to a little more than the
 //! largest value that it took over directions like the fit's, which the library stores for each
-//! material.
+//! material. What other k_d, η, α and z make of it says [`crate::edit`].
 
 use std::sync::Arc;
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+use crate::brdf::{Brdf, is_lit};
+use crate::edit::{self, Edit, Fitted, Origin, Room, Turn, Views};
 use crate::features::{Inputs, MAX_FEATURES};
 use crate::kernel::{Kernel, splat3};
 use crate::lobes::Lobes;
@@ -56,6 +58,27 @@ impl Composition {
             Composition::GatedResidual => sigmoid(b).fma(analytic, exp(a)),
             Composition::Additive => (analytic + a).max(a.splat(0.0)),
             Composition::LogMultiplicative => analytic * exp(a),
+        }
+    }
+
+    /// f of one channel of an edited material: what the network adds goes with the analytic value from `fitted`
+    /// to `edited`, and of that the share `room` stays, see [`crate::edit`].
+    #[inline(always)]
+    #[must_use]
+    pub fn compose_edited<F: Real>(self, a: F, b: F, fitted: F, edited: F, room: F, bound: f32) -> F {
+        let a = a.at_most(bound);
+        let change = (edited + edit::FLOOR) / (fitted + edit::FLOOR);
+        let (zero, one) = (a.splat(0.0), a.splat(1.0));
+        match self {
+            Composition::GatedResidual => sigmoid(b).fma(edited, exp(a) * change * room),
+            Composition::Additive => {
+                let (more, less) = (a.max(zero), a.min(zero));
+                change.fma(more.fma(room, less), edited).max(zero)
+            }
+            Composition::LogMultiplicative => {
+                let factor = exp(a);
+                edited * (factor - 1.0).max(zero).fma(room, factor.min(one))
+            }
         }
     }
 }
@@ -153,6 +176,8 @@ pub struct Hybrid {
     bound: f32,
     /// The latent code folded into the network's first bias.
     pub(crate) first_bias: Vec<Lane>,
+    /// None if k_d, η, α and z are those of the fit.
+    edit: Option<Box<Edit>>,
     sampler: Sampler,
 }
 
@@ -189,11 +214,102 @@ impl Hybrid {
         check_bound(bound)?;
         let first_bias = network.fold(&latent);
         let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
-        let mut hybrid =
-            Hybrid { form, network, microfacet, latent, bound, first_bias, sampler: lobes.into() };
-        hybrid.sampler =
-            Lobes::fit(&hybrid, &LOBE_FACTORS.map(|factor| microfacet.scaled_alpha(factor))).into();
-        Ok(hybrid)
+        let sampler = lobes.into();
+        let hybrid = Hybrid { form, network, microfacet, latent, bound, first_bias, edit: None, sampler };
+        Ok(hybrid.sampled())
+    }
+
+    /// With the sampler that suits it.
+    fn sampled(mut self) -> Self {
+        let alphas = LOBE_FACTORS.map(|factor| self.microfacet.scaled_alpha(factor));
+        self.sampler = Lobes::fit(&self, &alphas).into();
+        self
+    }
+
+    /// The same network with other parameters: an edit of the material with p₀ = `origin` and `fitted`, or that
+    /// material itself.
+    ///
+    /// # Errors
+    /// See [`Hybrid::new`].
+    pub fn edited(
+        &self,
+        origin: Microfacet,
+        fitted: Fitted,
+        microfacet: Microfacet,
+        latent: Vec<f32>,
+    ) -> Result<Self, String> {
+        let new = |p, z| Hybrid::new(self.form, self.network.clone(), p, z, self.bound);
+        if fitted.origin == Origin::Fit && microfacet == origin && latent == fitted.latent {
+            return new(origin, latent);
+        }
+        origin.validate()?;
+        check_latent(&fitted.latent)?;
+        let mut edited = new(microfacet, latent)?;
+        edited.make_room(origin, fitted);
+        Ok(edited.sampled())
+    }
+
+    /// Between this material and another of the same network, with a share `t` in [0, 1] of the other: z and the
+    /// bound are linear, p as [`Microfacet::mix`] says.
+    ///
+    /// # Errors
+    /// In words, that the two share no network.
+    pub fn mix(&self, other: &Hybrid, t: f32) -> Result<Self, String> {
+        if !Arc::ptr_eq(&self.network, &other.network) || self.form != other.form {
+            return Err("have no network in common, and what differs between them is no code".into());
+        }
+        let ((p, fitted), (other_p, other_fitted)) = (self.fitted(), other.fitted());
+        let bound = self.bound + (other.bound - self.bound) * t;
+        Hybrid { bound, ..self.clone() }.edited(
+            p.mix(&other_p, t),
+            fitted.mix(&other_fitted, t),
+            self.microfacet.mix(&other.microfacet, t),
+            edit::mix_latents(&self.latent, &other.latent, t),
+        )
+    }
+
+    /// Gives the residual the share that `fitted` leaves it.
+    fn make_room(&mut self, origin: Microfacet, fitted: Fitted) {
+        let turn = Turn::new(origin.alpha, self.microfacet.alpha);
+        let with = |room| {
+            let edit = Edit { fitted: fitted.clone(), microfacet: origin, turn, room };
+            Hybrid { edit: Some(Box::new(edit)), ..self.clone() }
+        };
+        let views = Views::new(self.is_isotropic(), &[origin.alpha, self.microfacet.alpha]);
+        let (gated, whole) = (with(Room::NONE), with(Room::ALL));
+        let room = Room::of(&fitted.ceiling, &views, &Analytic(&self.microfacet), &gated, &whole);
+        *self = with(room);
+    }
+
+    /// p₀ and the rest of what this material is an edit of; its own if it is none.
+    #[must_use]
+    pub fn fitted(&self) -> (Microfacet, Fitted) {
+        if let Some(edit) = &self.edit {
+            return (edit.microfacet, edit.fitted.clone());
+        }
+        let ceiling = Views::new(self.is_isotropic(), &[self.microfacet.alpha]).albedos(self);
+        (self.microfacet, Fitted { latent: self.latent.clone(), ceiling, origin: Origin::Fit })
+    }
+
+    /// None if k_d, η, α and z are those of the fit.
+    #[must_use]
+    pub fn edit(&self) -> Option<&Edit> {
+        self.edit.as_deref()
+    }
+
+    /// p₀, beside which the network was fitted.
+    #[must_use]
+    pub fn fitted_microfacet(&self) -> &Microfacet {
+        self.edit.as_ref().map_or(&self.microfacet, |edit| &edit.microfacet)
+    }
+
+    /// The pair that the network is asked about.
+    #[inline(always)]
+    pub(crate) fn asked<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [[F; 3]; 2] {
+        match self.edit.as_ref().and_then(|edit| edit.turn) {
+            Some(turn) => turn.apply(light, view),
+            None => [light, view],
+        }
     }
 
     /// What the network is given and what its outputs mean.
@@ -259,11 +375,26 @@ impl Model for Hybrid {
     }
 
     fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, String> {
-        Hybrid::new(self.form, self.network.clone(), microfacet, self.latent.clone(), self.bound)
+        let (origin, fitted) = self.fitted();
+        self.edited(origin, fitted, microfacet, self.latent.clone())
     }
 
     fn with_latent(&self, latent: Vec<f32>) -> Result<Self, String> {
-        Hybrid::new(self.form, self.network.clone(), self.microfacet, latent, self.bound)
+        let (origin, fitted) = self.fitted();
+        self.edited(origin, fitted, self.microfacet, latent)
+    }
+
+    fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
+        Hybrid::mix(self, other, t)
+    }
+}
+
+/// f_a alone, as a BRDF.
+struct Analytic<'a>(&'a Microfacet);
+
+impl Brdf for Analytic<'_> {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        if is_lit(light, view) { self.0.eval(light.into(), view.into()).into() } else { Vec3::ZERO }
     }
 }
 
@@ -280,15 +411,27 @@ impl Kernel for Hybrid {
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
         let mut x = [[0.0; L]; MAX_INPUTS];
-        let analytic = self.form.inputs_and_analytic(&self.microfacet, light, view, &mut x);
+        let [asked_light, asked_view] = self.asked(light, view);
+        let analytic =
+            self.form.inputs_and_analytic(self.fitted_microfacet(), asked_light, asked_view, &mut x);
         let mut y = Rows::default();
         self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
         let mut f = analytic;
         // A composition of three outputs has no b.
         let second = y.len() - 3;
-        for c in 0..3 {
-            let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
-            f[c] = self.form.composition.compose(a, b, analytic[c], self.bound);
+        let (composition, bound) = (self.form.composition, self.bound);
+        let outputs = |c: usize| [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
+        if let Some(edit) = &self.edit {
+            let (edited, room) = (self.microfacet.eval(light, view), edit.room.share(light, view));
+            for c in 0..3 {
+                let [a, b] = outputs(c);
+                f[c] = composition.compose_edited(a, b, analytic[c], edited[c], room, bound);
+            }
+        } else {
+            for c in 0..3 {
+                let [a, b] = outputs(c);
+                f[c] = composition.compose(a, b, analytic[c], bound);
+            }
         }
         f
     }
@@ -298,9 +441,11 @@ impl Kernel for Hybrid {
         // Before the network the pair stands in all lanes, so that nothing has to move between them;
         // after it the lanes are the channels.
         let (light, view) = (splat3::<I, 4>(isa, light), splat3(isa, view));
-        let half = Half::new(light, view);
-        let analytic = self.microfacet.eval_one(isa, &half, light, view);
-        let features = self.form.inputs.compute_half(&half, light, view, self.microfacet.alpha);
+        let [asked_light, asked_view] = self.asked(light, view);
+        let half = Half::new(asked_light, asked_view);
+        let fitted = self.fitted_microfacet();
+        let analytic = fitted.eval_one(isa, &half, asked_light, asked_view);
+        let features = self.form.inputs.compute_half(&half, asked_light, asked_view, fitted.alpha);
         let mut x = [0.0; MAX_INPUTS];
         for i in 0..MAX_FEATURES {
             x[i] = features[i].first();
@@ -312,7 +457,16 @@ impl Kernel for Hybrid {
         let mut y = One::default();
         self.network.forward_one(isa, &self.first_bias, &x, &mut y);
         let [a, b] = [Vector::load(isa, y.four_from::<0>()), Vector::load(isa, y.four_from::<3>())];
-        let f = self.form.composition.compose(a, b, analytic, self.bound).to_array();
+        let (composition, bound) = (self.form.composition, self.bound);
+        let f = match &self.edit {
+            None => composition.compose(a, b, analytic, bound),
+            Some(edit) => {
+                let edited = self.microfacet.eval_one(isa, &Half::new(light, view), light, view);
+                let room = edit.room.share(light, view);
+                composition.compose_edited(a, b, analytic, edited, room, bound)
+            }
+        };
+        let f = f.to_array();
         Vec3::new(f[0], f[1], f[2])
     }
 }
@@ -321,26 +475,36 @@ impl Kernel for Hybrid {
 pub mod reference {
     use super::{ANALYTIC_FLOOR, ANALYTIC_SCALE, Composition, Hybrid};
     use crate::math::reference::{exp, sigmoid};
-    use crate::{features, microfacet, network};
+    use crate::{edit, features, microfacet, network};
     use glam::DVec3;
 
     /// f for directions above the horizon.
     #[must_use]
     pub fn eval(material: &Hybrid, light: DVec3, view: DVec3) -> [f64; 3] {
-        let analytic = microfacet::reference::eval(&material.microfacet, light.to_array(), view.to_array());
-        let alpha = material.microfacet.alpha.map(f64::from);
-        let mut x = features::reference::compute(material.form.inputs, light, view, alpha);
+        let edited = microfacet::reference::eval(&material.microfacet, light.to_array(), view.to_array());
+        let (fitted, edit) = (material.fitted_microfacet(), material.edit());
+        let turn = edit.and_then(|edit| edit.turn);
+        let (asked_light, asked_view) =
+            turn.map_or((light, view), |turn| edit::reference::turn(&turn, light, view));
+        let analytic = microfacet::reference::eval(fitted, asked_light.to_array(), asked_view.to_array());
+        let alpha = fitted.alpha.map(f64::from);
+        let mut x = features::reference::compute(material.form.inputs, asked_light, asked_view, alpha);
         if material.form.analytic_input {
             x.extend(analytic.map(|f| f64::from(ANALYTIC_SCALE) * (f + f64::from(ANALYTIC_FLOOR)).ln()));
         }
         let latent: Vec<f64> = material.latent.iter().map(|&z| z.into()).collect();
         let y = network::reference::forward(&material.network, &x, &latent);
+        let room = edit.map_or(1.0, |edit| edit::reference::share(&edit.room, light.z, view.z));
         std::array::from_fn(|c| {
             let a = y[c].min(material.bound.into());
+            let floor = f64::from(edit::FLOOR);
+            let change = (edited[c] + floor) / (analytic[c] + floor);
             match material.form.composition {
-                Composition::GatedResidual => exp(a) + sigmoid(y[c + 3]) * analytic[c],
-                Composition::Additive => (analytic[c] + a).max(0.0),
-                Composition::LogMultiplicative => analytic[c] * exp(a),
+                Composition::GatedResidual => room * change * exp(a) + sigmoid(y[c + 3]) * edited[c],
+                Composition::Additive => (edited[c] + change * (room * a.max(0.0) + a.min(0.0))).max(0.0),
+                Composition::LogMultiplicative => {
+                    edited[c] * (exp(a).min(1.0) + room * (exp(a) - 1.0).max(0.0))
+                }
             }
         })
     }
@@ -388,36 +552,115 @@ mod tests {
             .unzip()
     }
 
+    /// Batches, single pairs and the reference give one value.
+    fn assert_agrees(material: &Hybrid, what: &str) {
+        let (light, view) = pairs(203);
+        let mut batch = vec![Vec3::ZERO; light.len()];
+        material.eval_batch(&light, &view, &mut batch);
+        for i in 0..light.len() {
+            let f = material.eval(light[i], view[i]);
+            let difference = (f - batch[i]).abs().max_element();
+            let most = ONE_MAX_RELATIVE_DIFFERENCE * batch[i].max_element() + 1e-6;
+            assert!(difference <= most, "{what}: {difference} beside {}", batch[i]);
+            let truth = reference::eval(material, light[i].as_dvec3(), view[i].as_dvec3());
+            for (f, truth) in f.to_array().into_iter().zip(truth) {
+                // Absolute where the additive form cancels, relative everywhere else.
+                let error = (f64::from(f) - truth).abs();
+                assert!(error <= 5e-5 * truth + 2e-6, "{what}: {f} against {truth}");
+            }
+        }
+    }
+
     #[test]
     fn every_size_and_form_agrees_with_the_reference_and_across_kernels() {
-        let (light, view) = pairs(203);
         for form in FORMS {
             for (width, layers, latent) in
                 [(16, 2, 4), (16, 3, 8), (32, 2, 8), (32, 3, 4), (64, 2, 4), (64, 3, 8)]
             {
                 let material = material(form, width, layers, latent);
-                let mut batch = vec![Vec3::ZERO; light.len()];
-                material.eval_batch(&light, &view, &mut batch);
-                for i in 0..light.len() {
-                    let f = material.eval(light[i], view[i]);
-                    let difference = (f - batch[i]).abs().max_element();
-                    let most = ONE_MAX_RELATIVE_DIFFERENCE * batch[i].max_element() + 1e-6;
-                    assert!(
-                        difference <= most,
-                        "{form:?} {width}x{layers}: {difference} beside {}",
-                        batch[i]
-                    );
-                    let truth = reference::eval(&material, light[i].as_dvec3(), view[i].as_dvec3());
-                    for (f, truth) in f.to_array().into_iter().zip(truth) {
-                        // Absolute where the additive form cancels, relative everywhere else.
-                        let error = (f64::from(f) - truth).abs();
-                        assert!(
-                            error <= 5e-5 * truth + 2e-6,
-                            "{form:?} {width}x{layers}: {f} against {truth}"
-                        );
-                    }
+                assert_agrees(&material, &format!("{form:?} {width}x{layers}"));
+            }
+        }
+    }
+
+    /// Wider, narrower, brighter, and another code.
+    fn edits(material: &Hybrid) -> Vec<Hybrid> {
+        let p = material.microfacet;
+        let [x, y] = p.alpha;
+        let mut edits: Vec<Hybrid> = [
+            Microfacet { alpha: [2.0 * x, 2.5 * y], ..p },
+            Microfacet { alpha: [0.5 * x, 0.5 * y], kd: [0.9, 0.1, 1.0], ..p },
+            Microfacet { eta: [4.0, 1.05, 2.5], kd: [1.0; 3], ..p },
+        ]
+        .map(|p| material.with_microfacet(p).unwrap())
+        .into();
+        edits.push(material.with_latent(material.latent.iter().map(|z| 0.5 - z).collect()).unwrap());
+        edits
+    }
+
+    #[test]
+    fn edited_materials_agree_with_the_reference_and_across_kernels() {
+        for form in FORMS {
+            for edited in edits(&material(form, 16, 2, 4)) {
+                assert!(edited.edit().is_some());
+                assert_agrees(&edited, &format!("{form:?} {:?}", edited.edit()));
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_edited_back_is_what_was_fitted() {
+        for form in FORMS {
+            let fitted = material(form, 16, 2, 4);
+            let (light, view) = pairs(50);
+            for edited in edits(&fitted) {
+                let back = edited.with_latent(fitted.latent.clone()).unwrap();
+                let back = back.with_microfacet(fitted.microfacet).unwrap();
+                assert!(back.edit().is_none());
+                for (&l, &v) in light.iter().zip(&view) {
+                    assert_eq!(back.eval(l, v), fitted.eval(l, v));
                 }
             }
+        }
+    }
+
+    #[test]
+    fn an_edit_of_nothing_is_near_to_the_fit() {
+        for form in FORMS {
+            let fitted = material(form, 16, 2, 4);
+            let p = fitted.microfacet;
+            let edited =
+                fitted.with_microfacet(Microfacet { alpha: p.alpha.map(|a| a * 1.0001), ..p }).unwrap();
+            let (light, view) = pairs(200);
+            for (&l, &v) in light.iter().zip(&view) {
+                let (f, g) = (fitted.eval(l, v), edited.eval(l, v));
+                assert!((f - g).abs().max_element() <= 2e-3 * f.max_element(), "{form:?}: {f} {g}");
+            }
+        }
+    }
+
+    #[test]
+    fn mixes_lie_between_and_know_their_ends() {
+        for form in FORMS {
+            let a = material(form, 16, 2, 4);
+            let p = Microfacet {
+                kd: [0.1, 0.6, 0.2],
+                eta: [1.3, 2.2, 1.5],
+                alpha: a.microfacet.alpha.map(|x| 2.0 * x),
+            };
+            let z = a.latent.iter().map(|z| -z).collect();
+            let b = Hybrid::new(form, a.network.clone(), p, z, 1.0).unwrap();
+            let middle = a.mix(&b, 0.5).unwrap();
+            assert_agrees(&middle, &format!("{form:?}"));
+            assert_eq!(middle.bound, 1.5);
+            assert_eq!(middle.latent, [0.0; 4]);
+            assert!((middle.microfacet.kd[1] - 0.4).abs() < 1e-6);
+            // Its own numbers are no fit's: edited back to them it is the mix again.
+            let there = middle.with_microfacet(a.microfacet).unwrap();
+            let back = there.with_microfacet(middle.microfacet).unwrap();
+            assert_eq!(back.edit(), middle.edit());
+            let other = material(form, 16, 2, 4);
+            assert!(a.mix(&other, 0.5).unwrap_err().contains("no network in common"));
         }
     }
 

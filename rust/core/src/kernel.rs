@@ -28,6 +28,11 @@ pub trait Kernel: Send + Sync {
         let f = self.eval_lanes::<I, 4>(isa, splat3(isa, light), splat3(isa, view));
         Vec3::new(f[0].first(), f[1].first(), f[2].first())
     }
+
+    /// See [`Brdf::has_data`].
+    fn has_data(&self, _light: Vec3, _view: Vec3) -> bool {
+        true
+    }
 }
 
 /// One vector in every lane.
@@ -62,6 +67,10 @@ impl<K: Kernel> Brdf for K {
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         assert!(light.len() == out.len() && view.len() == out.len(), "as many lights as views and results");
         batch(self, light, view, out);
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        Kernel::has_data(self, light, view)
     }
 }
 

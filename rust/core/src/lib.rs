@@ -2,6 +2,7 @@
 
 pub mod analytic;
 pub mod brdf;
+pub mod edit;
 pub mod error;
 pub mod factor;
 pub mod features;
@@ -19,6 +20,7 @@ pub mod model;
 pub mod nbrdf;
 pub mod network;
 pub mod neural;
+pub mod oddity;
 pub mod sampler;
 pub mod simd;
 pub mod smith;
@@ -32,3 +34,4 @@ pub use glam::Vec3;
 pub use library::Library;
 pub use material::{Kind, Material};
 pub use model::Model;
+pub use oddity::Oddity;

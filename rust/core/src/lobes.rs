@@ -170,7 +170,7 @@ pub(crate) fn sample_cosine(u1: f32, u2: f32) -> Vec3 {
 ///
 /// Sampling by spherical caps, Dupuy & Benyoub 2023, *Sampling Visible GGX Normals with Spherical
 /// Caps*, algorithm 3.
-fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f32) -> Vec3 {
+pub(crate) fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f32) -> Vec3 {
     let stretch = Vec3::new(alpha[0], alpha[1], 1.0);
     let standard_view = (view * stretch).normalize();
     // The cap's z is uniform on [−v_z, 1]. Only z + v_z and 1 − z² are needed, and written as here
@@ -186,7 +186,7 @@ fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f32) -> Vec3 
 }
 
 /// Density of [`sample_visible_normal`]: D_v(h)/(4 cosθ_d) = G₁(v) D(h) / (4 cosθ_v).
-fn visible_normal_pdf(alpha: [f32; 2], light: Vec3, view: Vec3) -> f32 {
+pub(crate) fn visible_normal_pdf(alpha: [f32; 2], light: Vec3, view: Vec3) -> f32 {
     let view: [f32; 3] = view.into();
     0.5 * Half::new(light.into(), view).ndf(alpha) / masking_denominator(view, alpha)
 }

@@ -15,6 +15,7 @@ use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::microfacet::Microfacet;
 use crate::model::Model;
 use crate::network::Network;
+use crate::oddity::Oddity;
 use crate::sampler::{Sampler, SamplerChoice};
 use crate::simd::Lane3;
 use crate::table_sampler::TableSampler;
@@ -187,6 +188,12 @@ impl Material {
         with_model!(self, model => model.is_reciprocal())
     }
 
+    /// What is odd about the file that a measurement was read from; empty for models.
+    #[must_use]
+    pub fn oddities(&self) -> &[Oddity] {
+        if let Material::Tabulated(measured) = self { measured.table().oddities() } else { &[] }
+    }
+
     /// See [`Model::with_microfacet`].
     ///
     /// # Errors
@@ -203,6 +210,29 @@ impl Material {
     pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, String> {
         let edited = with_model!(self, model => model.with_latent(latent).map(Material::from))?;
         Ok(self.sampled_alike(edited))
+    }
+
+    /// See [`Model::mix`]. At the ends it is one of the two.
+    ///
+    /// # Errors
+    /// See [`Model::mix`]; also for materials of two models and a share outside [0, 1].
+    pub fn mix(&self, other: &Material, t: f32) -> Result<Material, String> {
+        fn mix<'a, M: Model + 'a>(a: &M, b: &'a Material, t: f32) -> Result<Material, String>
+        where
+            &'a M: TryFrom<&'a Material>,
+            Material: From<M>,
+        {
+            let same = b.try_into().map_err(|_| "are of two models, and only one model's mix".to_owned());
+            a.mix(same?, t).map(Material::from)
+        }
+        match t {
+            0.0 => Ok(self.clone()),
+            1.0 => Ok(other.clone()),
+            _ if t > 0.0 && t < 1.0 => {
+                Ok(self.sampled_alike(with_model!(self, model => mix(model, other, t))?))
+            }
+            _ => Err(format!("are mixed with a weight of {t}, expected one in [0, 1]")),
+        }
     }
 }
 
@@ -221,6 +251,10 @@ impl Brdf for Material {
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         with_model!(self, model => model.eval_batch(light, view, out));
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        with_model!(self, model => model.has_data(light, view))
     }
 }
 

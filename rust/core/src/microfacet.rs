@@ -56,6 +56,22 @@ impl Microfacet {
         self.alpha.map(|a| (a * factor).clamp(MIN_ALPHA, 1.0))
     }
 
+    /// Between two sets of parameters, with a share `t` of the second: k_d is linear, η by √F₀, which is
+    /// (η − 1)/(η + 1), and α by √α, steps of which look alike (Burley 2012, §5.4).
+    #[must_use]
+    pub fn mix(&self, other: &Microfacet, t: f32) -> Microfacet {
+        let by = |scale: fn(f32) -> f32, back: fn(f32) -> f32, a: f32, b: f32| {
+            back(scale(a) + (scale(b) - scale(a)) * t)
+        };
+        let kd = |c: usize| by(|x| x, |x| x, self.kd[c], other.kd[c]).clamp(0.0, 1.0);
+        let eta = |c: usize| {
+            let eta = by(|n| (n - 1.0) / (n + 1.0), |r| (1.0 + r) / (1.0 - r), self.eta[c], other.eta[c]);
+            eta.clamp(ETA_RANGE[0], ETA_RANGE[1])
+        };
+        let alpha = |i: usize| by(f32::sqrt, |x| x * x, self.alpha[i], other.alpha[i]).clamp(MIN_ALPHA, 1.0);
+        Microfacet { kd: [kd(0), kd(1), kd(2)], eta: [eta(0), eta(1), eta(2)], alpha: [alpha(0), alpha(1)] }
+    }
+
     /// f_a for directions above the horizon. Branch-free, in any number of lanes.
     #[inline(always)]
     #[must_use]

@@ -91,13 +91,21 @@ fn eval_part<I: Lanes<L>, const L: usize>(
     let mut y = Rows::default();
     network.forward_tile(isa, &lanes.first_bias[..], &lanes.x, &mut y);
     let (bound, zero) = (Vector::load(isa, &lanes.bound), Vector::new(isa, 0.0));
+    let is_edited = zero.less(Vector::load(isa, &lanes.is_edited));
+    let has_edits = Vector::<I, L>::any(isa, is_edited);
     // A composition of three outputs has no b.
     let second = y.len() - 3;
     for c in 0..3 {
         let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
         let analytic = Vector::load(isa, &lanes.analytic[c]);
         // The lanes have their bounds already.
-        let f = form.composition.compose(bound.min(a), b, analytic, f32::INFINITY);
+        let mut f = form.composition.compose(bound.min(a), b, analytic, f32::INFINITY);
+        if has_edits {
+            let (edited, room) = (Vector::load(isa, &lanes.edited[c]), Vector::load(isa, &lanes.room));
+            let whole =
+                form.composition.compose_edited(bound.min(a), b, analytic, edited, room, f32::INFINITY);
+            f = whole.or_else(is_edited, f);
+        }
         f.or_else(lit, zero).store(&mut out[c]);
     }
     out
@@ -109,6 +117,10 @@ struct BeforeNetwork<const L: usize> {
     analytic: [[f32; L]; 3],
     first_bias: [[f32; L]; MAX_WIDTH],
     bound: [f32; L],
+    /// 1 where the material is an edit, and what is then needed besides.
+    is_edited: [f32; L],
+    edited: [[f32; L]; 3],
+    room: [f32; L],
 }
 
 impl<const L: usize> Default for BeforeNetwork<L> {
@@ -119,6 +131,9 @@ impl<const L: usize> Default for BeforeNetwork<L> {
             analytic: [[0.0; L]; 3],
             first_bias: [[0.0; L]; MAX_WIDTH],
             bound: [0.0; L],
+            is_edited: [0.0; L],
+            edited: [[0.0; L]; 3],
+            room: [0.0; L],
         }
     }
 }
@@ -140,7 +155,9 @@ impl<const L: usize> BeforeNetwork<L> {
         }
         let mask = Vector::new(isa, 0.0).less(Vector::load(isa, &is_own));
         let mut x = [[0.0; L]; MAX_INPUTS];
-        let analytic = own.form().inputs_and_analytic(&own.microfacet, light, view, &mut x);
+        let [asked_light, asked_view] = own.asked(light, view);
+        let fitted = own.fitted_microfacet();
+        let analytic = own.form().inputs_and_analytic(fitted, asked_light, asked_view, &mut x);
         for i in 0..own.form().features() {
             Vector::load(isa, &x[i]).or_else(mask, Vector::load(isa, &self.x[i])).store(&mut self.x[i]);
         }
@@ -151,6 +168,16 @@ impl<const L: usize> BeforeNetwork<L> {
             Vector::new(isa, bias).or_else(mask, Vector::load(isa, lanes)).store(lanes);
         }
         Vector::new(isa, own.bound()).or_else(mask, Vector::load(isa, &self.bound)).store(&mut self.bound);
+        if let Some(edit) = own.edit() {
+            let edited = own.microfacet.eval(light, view);
+            for c in 0..3 {
+                edited[c].or_else(mask, Vector::load(isa, &self.edited[c])).store(&mut self.edited[c]);
+            }
+            let room = edit.room.share(light, view);
+            room.or_else(mask, Vector::load(isa, &self.room)).store(&mut self.room);
+            let yes = Vector::new(isa, 1.0);
+            yes.or_else(mask, Vector::load(isa, &self.is_edited)).store(&mut self.is_edited);
+        }
     }
 }
 
@@ -161,6 +188,7 @@ mod tests {
     use crate::ggx::Ggx;
     use crate::hybrid::{Composition, Form};
     use crate::microfacet::Microfacet;
+    use crate::model::Model;
     use crate::network::{Activation, tests::patterned};
 
     fn hybrids(form: Form) -> Vec<Material> {
@@ -172,7 +200,10 @@ mod tests {
                 let microfacet =
                     Microfacet { kd: [t, 0.2, 0.1], eta: [1.5, 1.5 + t, 2.5], alpha: [0.3 * t; 2] };
                 let latent = (0..4).map(|k| (k as f32 + 3.0 * t).sin()).collect();
-                Hybrid::new(form, network.clone(), microfacet, latent, 2.0 + t).unwrap().into()
+                let material = Hybrid::new(form, network.clone(), microfacet, latent, 2.0 + t).unwrap();
+                // Two of them are edits.
+                let alpha = [if i % 2 == 0 { 0.5 } else { microfacet.alpha[0] }; 2];
+                material.with_microfacet(Microfacet { alpha, ..microfacet }).unwrap().into()
             })
             .collect()
     }

@@ -54,4 +54,12 @@ pub trait Model: Brdf + Clone {
     fn with_latent(&self, _: Vec<f32>) -> Result<Self, String> {
         Err(format!("a {} material has no latent code", Self::KIND))
     }
+
+    /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.
+    ///
+    /// # Errors
+    /// In words that go on from the names of the two, why they cannot be mixed.
+    fn mix(&self, _other: &Self, _t: f32) -> Result<Self, String> {
+        Err(format!("cannot be mixed: a {} material has no parameters between which to go", Self::KIND))
+    }
 }

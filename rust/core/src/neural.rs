@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 
+use crate::edit::{Black, Fitted, Origin, Room, Views, mix_latents};
 use crate::hybrid::check_bound;
 use crate::kernel::Kernel;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
@@ -46,7 +47,19 @@ pub struct Neural {
     /// ψ with this material's frames and latent code folded into its first layer.
     network: Network,
     first_bias: Vec<Lane>,
+    /// None if z is that of the fit.
+    recoded: Option<Box<Recoded>>,
     sampler: Sampler,
+}
+
+/// What makes a material with another code differ from a fitted one: f is multiplied by what there is room
+/// for, see [`crate::edit`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recoded {
+    /// What it was made of.
+    pub fitted: Fitted,
+    /// The share of f that stays.
+    pub room: Room,
 }
 
 impl Neural {
@@ -88,9 +101,62 @@ impl Neural {
         let network = fold_frames(&shared, &latent)?;
         let first_bias = network.fold(&[]);
         let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut neural = Neural { shared, latent, bound, network, first_bias, sampler: lobes.into() };
-        neural.sampler = Lobes::fit(&neural, &PROXY_ALPHAS).into();
-        Ok(neural)
+        let sampler = lobes.into();
+        let neural = Neural { shared, latent, bound, network, first_bias, recoded: None, sampler };
+        Ok(neural.sampled())
+    }
+
+    /// With the sampler that suits it.
+    fn sampled(mut self) -> Self {
+        self.sampler = Lobes::fit(&self, &PROXY_ALPHAS).into();
+        self
+    }
+
+    /// The same network with another code, made of the material `fitted`, or that material itself.
+    ///
+    /// # Errors
+    /// See [`Neural::new`].
+    pub fn recoded(&self, fitted: Fitted, latent: Vec<f32>) -> Result<Self, String> {
+        let is_fitted = fitted.origin == Origin::Fit && latent == fitted.latent;
+        check_latent(&fitted.latent)?;
+        let mut neural = Neural::new(Arc::clone(&self.shared), latent, self.bound)?;
+        if is_fitted {
+            return Ok(neural);
+        }
+        let views = Views::new(false, &VIEW_ALPHAS);
+        let room = Room::of(&fitted.ceiling, &views, &Black, &Black, &neural);
+        neural.recoded = Some(Box::new(Recoded { fitted, room }));
+        Ok(neural.sampled())
+    }
+
+    /// Between this material and another of the same network, with a share `t` in [0, 1] of the other: z and the
+    /// bound are linear.
+    ///
+    /// # Errors
+    /// In words, that the two share no network.
+    pub fn mix(&self, other: &Neural, t: f32) -> Result<Self, String> {
+        if !Arc::ptr_eq(&self.shared, &other.shared) {
+            return Err("have no network in common, and what differs between them is no code".into());
+        }
+        let bound = self.bound + (other.bound - self.bound) * t;
+        let latent = mix_latents(&self.latent, &other.latent, t);
+        Neural { bound, ..self.clone() }.recoded(self.fitted().mix(&other.fitted(), t), latent)
+    }
+
+    /// What this material is made of; itself if its code is that of the fit.
+    #[must_use]
+    pub fn fitted(&self) -> Fitted {
+        if let Some(recoded) = &self.recoded {
+            return recoded.fitted.clone();
+        }
+        let ceiling = Views::new(false, &VIEW_ALPHAS).albedos(self);
+        Fitted { latent: self.latent.clone(), ceiling, origin: Origin::Fit }
+    }
+
+    /// None if z is that of the fit.
+    #[must_use]
+    pub fn recoding(&self) -> Option<&Recoded> {
+        self.recoded.as_deref()
     }
 
     /// Network and frame layer of the library.
@@ -143,9 +209,16 @@ impl Model for Neural {
     }
 
     fn with_latent(&self, latent: Vec<f32>) -> Result<Self, String> {
-        Neural::new(Arc::clone(&self.shared), latent, self.bound)
+        self.recoded(self.fitted(), latent)
+    }
+
+    fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
+        Neural::mix(self, other, t)
     }
 }
+
+/// Roughnesses of the lobes over which albedos are integrated: the model has none of its own.
+const VIEW_ALPHAS: [[f32; 2]; 3] = [[0.02; 2], [0.1; 2], [0.4; 2]];
 
 /// The frame that six numbers stand for: offsets of the normal from z and of the tangent from x,
 /// then Gram and Schmidt. The matrix takes a direction to (tangent, bitangent, normal) coordinates.
@@ -199,8 +272,10 @@ impl Kernel for Neural {
         }
         let mut y = Rows::default();
         self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
-        let f = Vector::load3(isa, &[y[0], y[1], y[2]]);
-        [bounded_exp(f[0], self.bound), bounded_exp(f[1], self.bound), bounded_exp(f[2], self.bound)]
+        let f = Vector::load3(isa, &[y[0], y[1], y[2]]).map(|y| bounded_exp(y, self.bound));
+        let Some(recoded) = &self.recoded else { return f };
+        let room = recoded.room.share(light, view);
+        f.map(|f| f * room)
     }
 
     #[inline(always)]
@@ -209,7 +284,8 @@ impl Kernel for Neural {
         let mut y = One::default();
         self.network.forward_one(isa, &self.first_bias, &x, &mut y);
         let f = bounded_exp(Vector::<I, 4>::load(isa, &[y[0], y[1], y[2], 0.0]), self.bound).to_array();
-        Vec3::new(f[0], f[1], f[2])
+        let room = self.recoded.as_ref().map_or(1.0, |r| r.room.share(light.into(), view.into()));
+        Vec3::new(f[0], f[1], f[2]) * room
     }
 }
 
@@ -222,7 +298,7 @@ fn bounded_exp<F: Real>(y: F, bound: f32) -> F {
 pub mod reference {
     use super::{Neural, frame};
     use crate::math::reference::exp;
-    use crate::network;
+    use crate::{edit, network};
     use glam::DVec3;
 
     /// f for directions above the horizon.
@@ -247,7 +323,9 @@ pub mod reference {
             })
             .collect();
         let y = network::reference::forward(&material.shared.network, &features, &latent);
-        std::array::from_fn(|c| exp(y[c].min(material.bound.into())))
+        let room =
+            material.recoded.as_ref().map_or(1.0, |r| edit::reference::share(&r.room, light.z, view.z));
+        std::array::from_fn(|c| room * exp(y[c].min(material.bound.into())))
     }
 }
 

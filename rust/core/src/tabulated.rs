@@ -9,6 +9,7 @@ use glam::Vec3;
 
 use crate::brdf::Brdf;
 use crate::model::Model;
+use crate::oddity::Oddity;
 use crate::sampler::{DirectionSampler, Sampler};
 use crate::simd::Lane3;
 use crate::table_sampler::{Resolution, TableSampler};
@@ -29,8 +30,8 @@ pub trait Table: Brdf + fmt::Debug {
     /// Whether f(l, v) = f(v, l) by construction.
     fn is_reciprocal(&self) -> bool;
 
-    /// Number of negative values in the file, which f takes as 0.
-    fn clamped(&self) -> usize;
+    /// What is odd about the file that it was read from, and what was made of it.
+    fn oddities(&self) -> &[Oddity];
 }
 
 /// A measured material: the table, which its copies share, and a sampler.
@@ -97,5 +98,9 @@ impl Brdf for Tabulated {
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         self.table.eval_batch(light, view, out);
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        self.table.has_data(light, view)
     }
 }

@@ -8,12 +8,17 @@
 
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr;
 
 use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
+use glimt_disk::printable;
 use glimt_files::Source;
 
-use crate::bridge::guarded;
+/// What `f` returns, or `fallback` where it panics: a panic that reached C would end the process.
+fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
+    catch_unwind(AssertUnwindSafe(f)).unwrap_or(fallback)
+}
 
 /// What a function answers.
 #[repr(C)]
@@ -120,8 +125,8 @@ thread_local! {
 }
 
 /// Keeps the message for `glimt_last_error`.
-pub(crate) fn fail(status: glimt_status, message: impl Into<Vec<u8>>) -> glimt_status {
-    let mut message = message.into();
+pub(crate) fn fail(status: glimt_status, message: impl Into<String>) -> glimt_status {
+    let mut message = printable(&message.into()).into_owned().into_bytes();
     message.retain(|&byte| byte != 0);
     // A thread that is ending has no place for messages left, and nobody who could ask for them.
     let _ = LAST_ERROR.try_with(|last| *last.borrow_mut() = CString::new(message).unwrap_or_default());
@@ -137,7 +142,7 @@ fn fail_with(error: &Error) -> glimt_status {
         Error::Read { .. } | Error::Write { .. } => GLIMT_ERROR_READ,
         Error::Format { .. } => GLIMT_ERROR_FORMAT,
         Error::UnknownMaterial { .. } | Error::MaterialNotNamed { .. } => GLIMT_ERROR_MATERIAL,
-        Error::Parameter { .. } => GLIMT_ERROR_PARAMETER,
+        Error::Parameter { .. } | Error::Mix { .. } => GLIMT_ERROR_PARAMETER,
     };
     fail(status, error.to_string())
 }
@@ -312,6 +317,47 @@ pub unsafe extern "C" fn glimt_library_material(
                 let found = glimt_material { name: c_string(&entry.name), material: entry.material.clone() };
                 // SAFETY: the caller's promise.
                 unsafe { hand_out(material, found) }
+            }
+        }
+    })
+}
+
+/// A material between two of a library: for the models whose materials share a network, and ggx.
+///
+/// \param a, b      Names, UTF-8.
+/// \param weight    Share of the second, in [0, 1].
+/// \param material  Receives the material, to be released with glimt_material_release(); NULL on error.
+///
+/// \return GLIMT_OK; GLIMT_ERROR_MATERIAL if there is no such material; GLIMT_ERROR_PARAMETER if the two cannot be
+/// mixed, or for a weight outside [0, 1]; GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_library_mix(
+    library: *const glimt_library,
+    a: *const c_char,
+    b: *const c_char,
+    weight: f32,
+    material: *mut *mut glimt_material,
+) -> glimt_status {
+    call(|| {
+        if material.is_null() {
+            return missing("material");
+        }
+        // SAFETY: the caller's promise; not NULL.
+        unsafe { *material = ptr::null_mut() };
+        // SAFETY: the caller's promise.
+        let Some(library) = (unsafe { library.as_ref() }) else { return missing("library") };
+        // SAFETY: the caller's promise.
+        let names = unsafe { string(a, "a").and_then(|a| Ok((a, string(b, "b")?))) };
+        let (a, b) = match names {
+            Ok(names) => names,
+            Err(status) => return status,
+        };
+        match library.library.mix(a, b, weight) {
+            Err(error) => fail_with(&error),
+            Ok(mix) => {
+                let name = c_string(&glimt_core::library::mix_name(a, b, weight));
+                // SAFETY: the caller's promise.
+                unsafe { hand_out(material, glimt_material { name, material: mix }) }
             }
         }
     })

@@ -1,10 +1,6 @@
-//! The core of glimt for C and C++ callers, as one static library.
+//! The C interface of glimt, as a static and as a shared library.
 //!
-//! Every function that C++ can call catches panics: one that unwound into foreign code would abort
-//! the whole renderer.
+//! Every function that C can call catches panics: one that unwound into foreign code would abort the whole program.
 
-mod bridge;
 pub mod c_api;
 pub mod image_api;
-mod packet;
-mod sampler_packet;

@@ -109,17 +109,31 @@ fn from_h5(bytes: &[u8]) -> Result<HashMap<String, Array>, String> {
 /// The arrays `<prefix>_fc1.npy` … by the last part of their names.
 fn from_npy_files(prefix: &Path) -> Result<HashMap<String, Array>, Error> {
     let mut arrays = HashMap::new();
-    for layer in 1..=LAYERS {
-        for key in weight_names(layer).into_iter().chain([format!("b{layer}")]) {
-            let mut file = prefix.as_os_str().to_owned();
-            file.push(format!("_{key}.npy"));
-            let file = PathBuf::from(file);
-            if file.exists() {
-                arrays.insert(key, Array::from_bytes(&read(&file)?).map_err(format_error(&file))?);
-            }
+    for (key, file) in npy_files(prefix) {
+        if file.exists() {
+            arrays.insert(key, Array::from_bytes(&read(&file)?).map_err(format_error(&file))?);
         }
     }
     Ok(arrays)
+}
+
+/// The files that [`open`] reads besides or in the place of `path`, `path` first; not all need be there.
+#[must_use]
+pub fn parts(path: &Path) -> Vec<PathBuf> {
+    let others = prefix(path)
+        .into_iter()
+        .flat_map(|prefix| npy_files(&prefix).map(|(_, file)| file).collect::<Vec<_>>());
+    std::iter::once(path.to_owned()).chain(others).collect()
+}
+
+/// The arrays of a set by the last part of their names.
+fn npy_files(prefix: &Path) -> impl Iterator<Item = (String, PathBuf)> + '_ {
+    let keys = (1..=LAYERS).flat_map(|layer| weight_names(layer).into_iter().chain([format!("b{layer}")]));
+    keys.map(|key| {
+        let mut file = prefix.as_os_str().to_owned();
+        file.push(format!("_{key}.npy"));
+        (key, PathBuf::from(file))
+    })
 }
 
 /// Whether the network has an array of this name.

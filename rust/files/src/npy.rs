@@ -1,12 +1,13 @@
-//! NumPy's `.npy` format: versions 1 to 3, float32 and float64, either byte order, C or Fortran order.
+//! NumPy's `.npy` format: versions 1 to 3, numbers of every type, either byte order, C or Fortran order.
 //!
 //! Specification: `numpy.lib.format`. A file is the magic, a version, the length of the header, the
 //! header (a Python dictionary with `descr`, `fortran_order` and `shape`), and the numbers.
 
 use std::path::Path;
 
-use glimt_core::library::write_whole;
+use glimt_disk::write_whole;
 use glimt_measured::file::read_regular;
+use half::f16;
 
 use crate::error::{Error, excerpt};
 
@@ -29,7 +30,7 @@ pub struct Array {
 }
 
 impl Array {
-    /// Reads a `.npy` file of float32 or float64 numbers.
+    /// Reads a `.npy` file of numbers, which are kept as float32.
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] for a file that is broken or holds other types.
@@ -38,43 +39,38 @@ impl Array {
         let bytes = read_regular(path).map_err(Error::read(path))?;
         Array::from_bytes(&bytes).map_err(|reason| Error::Format {
             path: path.to_owned(),
-            format: "a NumPy array (.npy) of float32 or float64",
+            format: "a NumPy array (.npy) of numbers",
             reason,
         })
     }
 
-    /// Decodes the bytes of a `.npy` file.
+    /// Decodes the bytes of a `.npy` file; bytes after the array are ignored, as NumPy does.
     ///
     /// # Errors
     /// In words, what was found and what was expected.
     pub fn from_bytes(bytes: &[u8]) -> Result<Array, String> {
+        Array::from_start(bytes).map(|(array, _)| array)
+    }
+
+    /// The array at the start of `bytes`, and how many bytes follow it.
+    pub(crate) fn from_start(bytes: &[u8]) -> Result<(Array, usize), String> {
         let (header, data) = split(bytes)?;
         let kind = header_value(header, "descr")?;
         let shape = shape(header_value(header, "shape")?)?;
-        let decode: fn(&[u8]) -> f32 = match kind.trim_matches(['\'', '"']) {
-            "<f4" => |b| f32::from_le_bytes(b.try_into().expect("four bytes")),
-            ">f4" => |b| f32::from_be_bytes(b.try_into().expect("four bytes")),
-            "<f8" => |b| f64::from_le_bytes(b.try_into().expect("eight bytes")) as f32,
-            ">f8" => |b| f64::from_be_bytes(b.try_into().expect("eight bytes")) as f32,
-            other => {
-                return Err(format!(
-                    "its type is {}, expected float32 (<f4) or float64 (<f8)",
-                    excerpt(other)
-                ));
-            }
-        };
-        let size = if kind.contains("f4") { 4 } else { 8 };
-        let expected = shape.iter().try_fold(size, |n: usize, &axis| n.checked_mul(axis));
-        if expected != Some(data.len()) {
+        let number = Number::of(kind.trim_matches(['\'', '"'])).ok_or_else(|| {
+            format!("its type is {}, expected numbers: floats or integers", excerpt(kind.trim_matches('\'')))
+        })?;
+        let length = shape.iter().try_fold(number.size, |n: usize, &axis| n.checked_mul(axis));
+        let Some((data, rest)) = length.and_then(|length| data.split_at_checked(length)) else {
             return Err(format!("{} bytes of numbers do not fill its shape {shape:?}", data.len()));
-        }
-        let values: Vec<f32> = data.chunks_exact(size).map(decode).collect();
+        };
+        let values: Vec<f32> = data.chunks_exact(number.size).map(|bytes| number.decode(bytes)).collect();
         let values = match header_value(header, "fortran_order")? {
             "False" => values,
             "True" => from_fortran_order(&shape, &values),
             other => return Err(format!("fortran_order is {}, expected True or False", excerpt(other))),
         };
-        Ok(Array { shape, values })
+        Ok((Array { shape, values }, rest.len()))
     }
 
     /// Writes the array as float32 in C order: whole, or not at all.
@@ -106,6 +102,62 @@ impl Array {
         bytes.extend(header.into_bytes());
         bytes.extend(self.values.iter().flat_map(|value| value.to_le_bytes()));
         bytes
+    }
+}
+
+/// A type of numbers.
+struct Number {
+    kind: NumberKind,
+    /// Bytes of a number.
+    size: usize,
+    is_big_endian: bool,
+}
+
+#[derive(Clone, Copy)]
+enum NumberKind {
+    Float,
+    Signed,
+    Unsigned,
+}
+
+impl Number {
+    /// The type that NumPy spells like this: `<f4`, `>i8`, `|u1` …
+    fn of(descr: &str) -> Option<Number> {
+        let (order, name) = descr.split_at_checked(1)?;
+        let (kind, sizes): (_, &[usize]) = match name.get(..1)? {
+            "f" => (NumberKind::Float, &[2, 4, 8]),
+            "i" => (NumberKind::Signed, &[1, 2, 4, 8]),
+            "u" => (NumberKind::Unsigned, &[1, 2, 4, 8]),
+            _ => return None,
+        };
+        let size = name[1..].parse().ok().filter(|size| sizes.contains(size))?;
+        let is_big_endian = match order {
+            "<" => false,
+            ">" => true,
+            "|" if size == 1 => false,
+            _ => return None,
+        };
+        Some(Number { kind, size, is_big_endian })
+    }
+
+    fn decode(&self, bytes: &[u8]) -> f32 {
+        let mut little = [0; 8];
+        little[..self.size].copy_from_slice(bytes);
+        if self.is_big_endian {
+            little[..self.size].reverse();
+        }
+        let bits = u64::from_le_bytes(little);
+        match (self.kind, self.size) {
+            (NumberKind::Float, 2) => f16::from_bits(bits as u16).to_f32(),
+            (NumberKind::Float, 4) => f32::from_bits(bits as u32),
+            (NumberKind::Float, _) => f64::from_bits(bits) as f32,
+            (NumberKind::Unsigned, _) => bits as f32,
+            // The sign is that of the highest bit of as many bytes as there are.
+            (NumberKind::Signed, size) => {
+                let unused = 64 - 8 * size as u32;
+                ((bits << unused) as i64 >> unused) as f32
+            }
+        }
     }
 }
 
@@ -212,10 +264,28 @@ mod tests {
     }
 
     #[test]
+    fn what_numpy_loads_is_read() {
+        let read = |descr: &str, bytes: &[u8]| {
+            let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (2,), }}");
+            Array::from_start(&file(&header, bytes)).unwrap()
+        };
+        let values = |descr: &str, bytes: &[u8]| read(descr, bytes).0.values;
+        assert_eq!(values("|u1", &[1, 255]), [1.0, 255.0]);
+        assert_eq!(values("|i1", &[1, 255]), [1.0, -1.0]);
+        assert_eq!(values("<i2", &[0, 1, 0xfe, 0xff]), [256.0, -2.0]);
+        assert_eq!(values(">u4", &[0, 0, 0, 7, 0x80, 0, 0, 0]), [7.0, 2_147_483_648.0]);
+        assert_eq!(values("<i8", &[-3_i64, 5].map(i64::to_le_bytes).concat()), [-3.0, 5.0]);
+        assert_eq!(values("<f2", &[0, 0x3c, 0, 0xc0]), [1.0, -2.0]);
+        assert_eq!(read("<f4", &[0; 11]), (Array { shape: vec![2], values: vec![0.0; 2] }, 3));
+    }
+
+    #[test]
     fn what_does_not_fit_is_refused_in_words() {
         let message = |header: &str| Array::from_bytes(&file(header, &[0; 24])).unwrap_err();
-        let integers = "{'descr': '<i8', 'fortran_order': False, 'shape': (3,), }";
-        assert!(message(integers).contains("its type is <i8, expected float32"));
+        let complex = "{'descr': '<c16', 'fortran_order': False, 'shape': (3,), }";
+        assert!(message(complex).contains("its type is <c16, expected numbers"));
+        let disordered = "{'descr': '|f4', 'fortran_order': False, 'shape': (3,), }";
+        assert!(message(disordered).contains("its type is |f4"));
         let large = "{'descr': '<f4', 'fortran_order': False, 'shape': (7,), }";
         assert!(message(large).contains("24 bytes of numbers do not fill its shape [7]"));
         let huge = "{'descr': '<f8', 'fortran_order': False, 'shape': (4294967296, 4294967296), }";

@@ -1,19 +1,23 @@
 //! Scattered measurements: f at any number of pairs of directions, as a goniometer gives them.
 //!
-//! A `.csv` file holds a sample per line, separated by commas, in the order
+//! A `.csv` file holds a sample per line, in the order
 //!
 //! `light_x, light_y, light_z, view_x, view_y, view_z, r, g, b`
 //!
-//! or, if its first line names them, in any order; then directions may also be angles in radians,
-//! `theta_l, phi_l, theta_v, phi_v, r, g, b`, with θ from the normal. Empty lines and those that begin
-//! with `#` are skipped. A `.npy` file holds the nine numbers of the first form as (n, 9) float32 or float64.
+//! or, if a line before the samples names them, in any order; then directions may also be angles in radians,
+//! `theta_l, phi_l, theta_v, phi_v, r, g, b`, with θ from the normal, or, as `theta_l_deg` …, in degrees. Numbers
+//! are separated by commas, semicolons (with which the decimal mark may be a comma), tabs or spaces. The names may
+//! stand behind a `#`, as `numpy.savetxt(header=…)` writes them, and in quotes, as R and spreadsheets do; a column
+//! of row names, which is named "" or not at all, is skipped. Empty lines and other remarks behind `#` are skipped.
+//! A `.npy` file holds the nine numbers of the first form as (n, 9), of any type of number.
 //!
 //! Directions point away from the surface, in the local frame with the normal +z; f is in sr⁻¹, linear
 //! RGB, without the cosine.
 
+use std::f64::consts::{FRAC_PI_2, TAU};
 use std::path::Path;
 
-use glimt_core::Vec3;
+use glimt_core::{Oddity, Vec3};
 use glimt_measured::file::read_regular;
 
 use crate::error::{Error, excerpt};
@@ -32,6 +36,8 @@ pub struct Samples {
     pub clamped: usize,
     /// Number of samples in the file with a direction at the horizon, which carry no light and are left out.
     pub grazing: usize,
+    /// Bytes of the file after the samples.
+    pub trailing: usize,
 }
 
 /// How far the length of a direction may be from 1; what is nearer is normalised.
@@ -43,6 +49,12 @@ const GRAZING_COS: f64 = 1e-4;
 const CARTESIAN: [&str; 9] = ["light_x", "light_y", "light_z", "view_x", "view_y", "view_z", "r", "g", "b"];
 /// Columns with angles.
 const ANGLES: [&str; 7] = ["theta_l", "phi_l", "theta_v", "phi_v", "r", "g", "b"];
+/// How many of those are angles.
+const ANGLE_COUNT: usize = 4;
+/// What stands behind the name of an angle in degrees.
+const DEGREES: &str = "_deg";
+/// Most columns of a line: the longer form and the names of rows.
+const MOST_COLUMNS: usize = CARTESIAN.len() + 1;
 
 impl Samples {
     /// Reads a `.csv` or `.npy` file, told apart by their content.
@@ -67,7 +79,8 @@ impl Samples {
     /// In words, the line, what was found and what was expected.
     pub fn from_bytes(bytes: &[u8]) -> Result<Samples, String> {
         let samples = if is_array(bytes) {
-            Samples::from_array(&Array::from_bytes(bytes)?)?
+            let (array, trailing) = Array::from_start(bytes)?;
+            Samples { trailing, ..Samples::from_array(&array)? }
         } else {
             Samples::from_csv(std::str::from_utf8(bytes).map_err(|_| "it is not text")?)?
         };
@@ -98,6 +111,18 @@ impl Samples {
         }
     }
 
+    /// What is odd about the file, and what was made of it.
+    #[must_use]
+    pub fn oddities(&self) -> Vec<Oddity> {
+        let mut oddities = vec![
+            Oddity::Negative { what: "f", count: self.clamped },
+            Oddity::Grazing { count: self.grazing },
+            Oddity::Trailing { bytes: self.trailing },
+        ];
+        oddities.retain(Oddity::is_there);
+        oddities
+    }
+
     /// Number of samples.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -112,7 +137,7 @@ impl Samples {
 
     fn with_capacity(samples: usize) -> Samples {
         let room = || Vec::with_capacity(samples);
-        Samples { light: room(), view: room(), f: room(), clamped: 0, grazing: 0 }
+        Samples { light: room(), view: room(), f: room(), ..Samples::default() }
     }
 
     fn from_array(array: &Array) -> Result<Samples, String> {
@@ -134,15 +159,22 @@ impl Samples {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut samples = Samples::with_capacity(text.lines().filter(|line| is_content(line)).count());
         let mut columns = None;
-        for (number, line) in text.lines().enumerate().filter(|(_, line)| is_content(line)) {
+        let mut is_headed = false;
+        for (number, line) in text.lines().enumerate() {
             let at = |reason| format!("line {}: {reason}", number + 1);
-            match &columns {
-                None if is_header(line) => columns = Some(Columns::from_header(line).map_err(at)?),
-                _ => {
-                    let columns = columns.get_or_insert_with(Columns::standard);
-                    let row = columns.row(line).map_err(at)?;
-                    samples.push(row).map_err(at)?;
+            let is_before_samples = samples.is_empty() && samples.grazing == 0;
+            if !is_content(line) {
+                let remark = line.trim().trim_start_matches('#');
+                if is_before_samples && !is_headed && names_columns(remark) {
+                    columns = Some(Columns::from_header(remark).map_err(at)?);
                 }
+            } else if is_before_samples && !is_headed && is_header(line) {
+                columns = Some(Columns::from_header(line).map_err(at)?);
+                is_headed = true;
+            } else {
+                let columns = columns.get_or_insert_with(Columns::standard);
+                let row = columns.row(line).map_err(at)?;
+                samples.push(row).map_err(at)?;
             }
         }
         Ok(samples)
@@ -176,18 +208,59 @@ fn is_array(bytes: &[u8]) -> bool {
     bytes.starts_with(npy::MAGIC)
 }
 
-/// Whether a line holds a sample or the names of columns.
+/// Whether a line holds more than a remark.
 fn is_content(line: &str) -> bool {
     let line = line.trim();
     !line.is_empty() && !line.starts_with('#')
 }
 
 fn is_header(line: &str) -> bool {
-    fields(line).next().is_some_and(|first| first.parse::<f64>().is_err())
+    fields(line).next().is_some_and(|first| number(first).is_none())
 }
 
+/// Whether a remark names columns: most of its words are names that are known.
+fn names_columns(remark: &str) -> bool {
+    let (mut known, mut all) = (0, 0);
+    for field in fields(remark).take(MOST_COLUMNS) {
+        known += usize::from(is_known(&column_name(field)));
+        all += 1;
+    }
+    known >= 2 && 2 * known > all
+}
+
+/// The fields of a line without the quotes around them; see the module for what may separate them.
 fn fields(line: &str) -> impl Iterator<Item = &str> {
-    line.split(',').map(str::trim)
+    let has = |mark: char| line.contains(mark);
+    let mark = if has(';') {
+        Some(';')
+    } else if has('\t') && !line.contains(",\t") {
+        Some('\t')
+    } else {
+        has(',').then_some(',')
+    };
+    let fields = line.trim().split(move |c: char| mark.map_or(c.is_whitespace(), |mark| c == mark));
+    // Any number of spaces separates.
+    fields.filter(move |field| mark.is_some() || !field.is_empty()).map(|field| unquoted(field.trim()))
+}
+
+fn unquoted(field: &str) -> &str {
+    let within = |quote: char| field.strip_prefix(quote)?.strip_suffix(quote);
+    within('"').or_else(|| within('\'')).map_or(field, str::trim)
+}
+
+/// A number, whose decimal mark may be a comma.
+fn number(field: &str) -> Option<f64> {
+    field.parse().ok().or_else(|| field.replacen(',', ".", 1).parse().ok())
+}
+
+/// The name of a column as it is known here, however it is spelled: R has dots where others have spaces.
+fn column_name(field: &str) -> String {
+    field.to_lowercase().replace([' ', '.', '-'], "_")
+}
+
+fn is_known(name: &str) -> bool {
+    let angle = name.strip_suffix(DEGREES).is_some_and(|name| ANGLES[..ANGLE_COUNT].contains(&name));
+    angle || CARTESIAN.contains(&name) || ANGLES.contains(&name)
 }
 
 /// The numbers of a sample before they are checked.
@@ -202,35 +275,72 @@ impl Row {
         Row { light: [lx, ly, lz], view: [vx, vy, vz], f: [r, g, b] }
     }
 
-    fn angles(&[theta_l, phi_l, theta_v, phi_v, r, g, b]: &[f64; 7]) -> Row {
+    /// `units` are radians per unit of the four angles.
+    fn angles(numbers: &[f64; 7], units: &[f64; ANGLE_COUNT]) -> Result<Row, String> {
+        let mut angles = [0.0; ANGLE_COUNT];
+        for (i, angle) in angles.iter_mut().enumerate() {
+            *angle = numbers[i] * units[i];
+            // θ of every other column, and φ.
+            let (most, words) = if i % 2 == 0 { (FRAC_PI_2, "π/2 (90°)") } else { (TAU, "2π (360°)") };
+            if angle.abs() > most + GRAZING_COS {
+                return Err(out_of_range(ANGLES[i], numbers[i], units[i], words));
+            }
+        }
+        let [theta_l, phi_l, theta_v, phi_v] = angles;
         let direction =
             |theta: f64, phi: f64| [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()];
-        Row { light: direction(theta_l, phi_l), view: direction(theta_v, phi_v), f: [r, g, b] }
+        let [.., r, g, b] = *numbers;
+        Ok(Row { light: direction(theta_l, phi_l), view: direction(theta_v, phi_v), f: [r, g, b] })
     }
 }
 
-/// What the columns of a file are: for each of a form's names, the column where it stands.
+fn out_of_range(name: &str, found: f64, unit: f64, most: &str) -> String {
+    if unit == 1.0 {
+        format!(
+            "{name} is {found}, expected radians of at most {most}; if angles are in degrees, name the columns \
+             {name}{DEGREES} …"
+        )
+    } else {
+        format!("{name}{DEGREES} is {found}, expected degrees of at most {most}")
+    }
+}
+
+/// What the columns of a file are.
 enum Columns {
-    Cartesian([usize; 9]),
-    Angles([usize; 7]),
+    Cartesian(Places<9>),
+    /// The units are radians per unit of the four angles.
+    Angles(Places<7>, [f64; ANGLE_COUNT]),
+}
+
+/// For each of a form's names, the column where it stands, among so many columns.
+struct Places<const N: usize> {
+    columns: [usize; N],
+    width: usize,
 }
 
 impl Columns {
     fn standard() -> Columns {
-        Columns::Cartesian(std::array::from_fn(|i| i))
+        Columns::Cartesian(Places { columns: std::array::from_fn(|i| i), width: CARTESIAN.len() })
     }
 
     fn from_header(line: &str) -> Result<Columns, String> {
         // One more than any form has tells that there are too many, however long the line is.
-        let names: Vec<String> = fields(line).take(CARTESIAN.len() + 1).map(str::to_lowercase).collect();
-        if let Some(columns) = places(&CARTESIAN, &names) {
-            Ok(Columns::Cartesian(columns))
-        } else if let Some(columns) = places(&ANGLES, &names) {
-            Ok(Columns::Angles(columns))
+        let names: Vec<String> = fields(line).take(MOST_COLUMNS + 1).map(column_name).collect();
+        let plain = |name: &str| names.iter().position(|other| other == name).map(|place| (place, 1.0));
+        let degrees = |name: &str| Some((plain(&format!("{name}{DEGREES}"))?.0, 1_f64.to_radians()));
+        if let Some((places, _)) = Places::find(&CARTESIAN, &names, plain) {
+            Ok(Columns::Cartesian(places))
+        } else if let Some((places, units)) =
+            Places::find(&ANGLES, &names, |name| plain(name).or_else(|| degrees(name)))
+        {
+            Ok(Columns::Angles(places, std::array::from_fn(|i| units[i])))
         } else {
+            let unknown = names.iter().find(|name| !name.is_empty() && !is_known(name));
+            let unknown = unknown.map(|name| format!(", of which \"{}\" is unknown", excerpt(name)));
             Err(format!(
-                "the columns are \"{}\", expected {} or {} (radians), in any order",
+                "the columns are \"{}\"{}; expected {} or {} (radians; degrees as theta_l{DEGREES} …), in any order",
                 excerpt(line.trim()),
+                unknown.unwrap_or_default(),
                 CARTESIAN.join(","),
                 ANGLES.join(",")
             ))
@@ -239,37 +349,52 @@ impl Columns {
 
     fn row(&self, line: &str) -> Result<Row, String> {
         match self {
-            Columns::Cartesian(columns) => Ok(Row::cartesian(&numbers(line, columns)?)),
-            Columns::Angles(columns) => Ok(Row::angles(&numbers(line, columns)?)),
+            Columns::Cartesian(places) => Ok(Row::cartesian(&places.numbers(line)?)),
+            Columns::Angles(places, units) => Row::angles(&places.numbers(line)?, units),
         }
     }
 }
 
-/// Where each of `wanted` stands in `names`, if these are the same names.
-fn places<const N: usize>(wanted: &[&str; N], names: &[String]) -> Option<[usize; N]> {
-    let mut columns = [0; N];
-    for (column, wanted) in columns.iter_mut().zip(wanted) {
-        *column = names.iter().position(|name| name == wanted)?;
-    }
-    (names.len() == N).then_some(columns)
-}
-
-/// The numbers of a line, taken from these columns.
-fn numbers<const N: usize>(line: &str, columns: &[usize; N]) -> Result<[f64; N], String> {
-    let mut read = [0.0; N];
-    let mut count = 0;
-    for field in fields(line) {
-        if let Some(number) = read.get_mut(count) {
-            *number = field
-                .parse()
-                .map_err(|_| format!("\"{}\" is not a number (column {})", excerpt(field), count + 1))?;
+impl<const N: usize> Places<N> {
+    /// Where `place` finds each of `wanted`, with its units, if there are no other columns but one without a name.
+    fn find(
+        wanted: &[&str; N],
+        names: &[String],
+        place: impl Fn(&str) -> Option<(usize, f64)>,
+    ) -> Option<(Places<N>, [f64; N])> {
+        let (mut columns, mut units) = ([0; N], [1.0; N]);
+        for (i, wanted) in wanted.iter().enumerate() {
+            (columns[i], units[i]) = place(wanted)?;
         }
-        count += 1;
+        let unnamed = names.iter().filter(|name| name.is_empty()).count();
+        let is_whole = unnamed <= 1 && names.len() == N + unnamed;
+        is_whole.then_some((Places { columns, width: names.len() }, units))
     }
-    if count != N {
-        return Err(format!("{count} columns, expected {N}"));
+
+    /// The numbers of a line in the order of the form.
+    fn numbers(&self, line: &str) -> Result<[f64; N], String> {
+        let mut read = [""; MOST_COLUMNS];
+        let mut count = 0;
+        for field in fields(line) {
+            if let Some(place) = read.get_mut(count) {
+                *place = field;
+            }
+            count += 1;
+        }
+        // R writes the names of rows in quotes, and no name for their column.
+        let row_names = usize::from(count == self.width + 1 && line.trim_start().starts_with('"'));
+        if count != self.width + row_names {
+            return Err(format!("{count} columns, expected {}", self.width));
+        }
+        let mut numbers = [0.0; N];
+        for (found, column) in numbers.iter_mut().zip(self.columns) {
+            let column = column + row_names;
+            *found = number(read[column]).ok_or_else(|| {
+                format!("\"{}\" is not a number (column {})", excerpt(read[column]), column + 1)
+            })?;
+        }
+        Ok(numbers)
     }
-    Ok(columns.map(|column| read[column]))
 }
 
 /// A unit direction; `None` at the horizon.
@@ -313,6 +438,100 @@ mod tests {
         assert!((samples.light[0] - Vec3::new(0.6, 0.0, 0.8)).length() < 1e-6, "{}", samples.light[0]);
         assert!((samples.view[0] - Vec3::new(0.0, 0.6, 0.8)).length() < 1e-6, "{}", samples.view[0]);
         assert_eq!(samples.f[0], Vec3::new(1.0, 2.0, 3.0));
+    }
+
+    #[test]
+    fn angles_in_degrees_are_read_where_they_are_named_so_and_else_refused() {
+        let degrees = "theta_l_deg,phi_l_deg,theta_v,phi_v_deg,r,g,b\n30,-90,0.5235987755982988,180,1,2,3";
+        let radians = "theta_l,phi_l,theta_v,phi_v,r,g,b\n\
+                       0.5235987755982988,-1.5707963267948966,0.5235987755982988,3.141592653589793,1,2,3";
+        let (degrees, radians) = (read(degrees).unwrap(), read(radians).unwrap());
+        assert!((degrees.light[0] - radians.light[0]).length() < 1e-6, "{}", degrees.light[0]);
+        assert!((degrees.view[0] - radians.view[0]).length() < 1e-6, "{}", degrees.view[0]);
+        for (row, expected) in [
+            (
+                "30,0,0.1,0,1,1,1",
+                "theta_l is 30, expected radians of at most π/2 (90°); if angles are in degrees",
+            ),
+            ("0.1,0,-1.6,0,1,1,1", "theta_v is -1.6, expected radians"),
+            ("1,180,1,0,1,1,1", "phi_l is 180, expected radians of at most 2π"),
+        ] {
+            let message = read(&format!("theta_l,phi_l,theta_v,phi_v,r,g,b\n{row}")).unwrap_err();
+            assert!(message.contains(expected) && message.contains("_deg"), "{message}");
+        }
+        let message = read("theta_l_deg,phi_l_deg,theta_v_deg,phi_v_deg,r,g,b\n95,0,0,0,1,1,1").unwrap_err();
+        assert!(message.contains("theta_l_deg is 95, expected degrees"), "{message}");
+        // 90° as files print it is the horizon.
+        assert_eq!(read(&format!("{ANGLE_NAMES}\n1.5708,0,0,0,1,1,1\n0,0,0,0,1,1,1")).unwrap().grazing, 1);
+    }
+
+    const ANGLE_NAMES: &str = "theta_l,phi_l,theta_v,phi_v,r,g,b";
+
+    #[test]
+    fn headers_and_separators_of_every_program_are_read() {
+        let expected = Samples {
+            light: vec![Vec3::Z, Vec3::new(0.6, 0.0, 0.8)],
+            view: vec![Vec3::new(0.6, 0.0, 0.8), Vec3::Z],
+            f: vec![Vec3::new(1.0, 2.0, 3.0), Vec3::new(4.0, 5.0, 6.5)],
+            ..Samples::default()
+        };
+        for (program, text) in [
+            (
+                "numpy.savetxt(header=…, delimiter=\",\")",
+                "# b,g,r,view_x,view_y,view_z,light_x,light_y,light_z\n3,2,1,.6,0,.8,0,0,1\n6.5,5,4,0,0,1,.6,0,.8\n",
+            ),
+            (
+                "numpy.savetxt(header=…)",
+                "# b g r view_x view_y view_z light_x light_y light_z\n\
+                 3.0e+00 2.0e+00 1.0e+00 6.0e-01 0 8.0e-01 0 0 1\n6.5 5 4 0 0 1 0.6 0 0.8\n",
+            ),
+            (
+                "a remark before the names, and names with commas over numbers with spaces",
+                "# cloth, scan 7\n#b,g,r,view_x,view_y,view_z,light_x,light_y,light_z\n\
+                 3 2 1 .6 0 .8 0 0 1\n6.5  5 4  0 0 1 .6 0 .8",
+            ),
+            (
+                "R write.csv",
+                "\"\",\"light.x\",\"light.y\",\"light.z\",\"view.x\",\"view.y\",\"view.z\",\"r\",\"g\",\"b\"\n\
+                 \"1\",0,0,1,0.6,0,0.8,1,2,3\n\"b\",0.6,0,0.8,0,0,1,4,5,6.5\n",
+            ),
+            (
+                "R write.table",
+                "\"light_x\" \"light_y\" \"light_z\" \"view_x\" \"view_y\" \"view_z\" \"r\" \"g\" \"b\"\n\
+                 \"1\" 0 0 1 0.6 0 0.8 1 2 3\n\"2\" 0.6 0 0.8 0 0 1 4 5 6.5\n",
+            ),
+            (
+                "R write.csv2, spreadsheets where the decimal mark is a comma",
+                "\"Light X\";\"Light Y\";\"Light Z\";view_x;view_y;view_z;R;G;B\r\n\
+                 0;0;1;0,6;0;0,8;1;2;3\r\n0,6;0;0,8;0;0;1;4;5;6,5\r\n",
+            ),
+            (
+                "pandas",
+                ",light_x,light_y,light_z,view_x,view_y,view_z,r,g,b\n\
+                 0,0,0,1,0.6,0,0.8,1,2,3\n1,0.6,0,0.8,0,0,1,4,5,6.5\n",
+            ),
+            (
+                "tabs",
+                "light_x\tlight_y\tlight_z\tview_x\tview_y\tview_z\tr\tg\tb\n\
+                 0\t0\t1\t.6\t0\t.8\t1\t2\t3\n.6\t0\t.8\t0\t0\t1\t4\t5\t6.5\n",
+            ),
+        ] {
+            assert_eq!(read(text).as_ref(), Ok(&expected), "{program}");
+        }
+    }
+
+    #[test]
+    fn names_behind_a_mark_that_are_unknown_are_refused_and_remarks_are_not() {
+        let row = "0,0,1,0,0,1,1,2,3\n";
+        let message = read(&format!("# light_x,light_y,light_z,eye_x,eye_y,eye_z,r,g,b\n{row}")).unwrap_err();
+        assert!(message.contains("line 1") && message.contains("\"eye_x\" is unknown"), "{message}");
+        assert!(message.contains("expected light_x,light_y,light_z,view_x"), "{message}");
+        for remark in ["# a scan, of felt", "# r is red, g is green", "#", "# b"] {
+            assert_eq!(read(&format!("{remark}\n{row}")).unwrap().f, [Vec3::new(1.0, 2.0, 3.0)], "{remark}");
+        }
+        // Names after the first sample come too late.
+        let late = read(&format!("{row}light_x,light_y,light_z,view_x,view_y,view_z,b,g,r\n{row}"));
+        assert!(late.unwrap_err().contains("line 2: \"light_x\" is not a number"));
     }
 
     #[test]
@@ -366,7 +585,11 @@ mod tests {
             let message = read(&format!("# scan\n{good}{line}\n")).unwrap_err();
             assert!(message.contains(expected), "{message}");
         }
-        assert!(read("x,y,z\n").unwrap_err().contains("line 1: the columns are \"x,y,z\", expected light_x"));
+        assert!(
+            read("x,y,z\n")
+                .unwrap_err()
+                .contains("the columns are \"x,y,z\", of which \"x\" is unknown; expected light_x")
+        );
         assert!(read("theta_l,phi_l,theta_v,phi_v,r,g,g\n").unwrap_err().contains("line 1: the columns"));
         let long = read(&",".repeat(10_000)).unwrap_err();
         assert!(long.contains("…") && long.len() < 400, "{long}");

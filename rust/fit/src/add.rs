@@ -7,6 +7,7 @@ use glimt_core::hybrid::Hybrid;
 use glimt_core::library::{Entry, Library, Origin};
 use serde::Deserialize;
 
+use crate::analytic;
 use crate::backprop::Shape;
 use crate::error::Error;
 use crate::fit::{
@@ -113,6 +114,13 @@ pub fn add(
         Entry { name: input.name.clone(), material: Material::Hybrid(material), origin }
     };
     Ok(Some(inputs.iter().zip(materials).map(entry).collect()))
+}
+
+/// How many numbers [`add`] fits for each of `inputs`.
+#[must_use]
+pub fn numbers_each(library: &Library, inputs: &[Input]) -> usize {
+    let isotropic = inputs.iter().all(|input| input.isotropic);
+    analytic::len(isotropic) + library.entries()[0].material.latent().len()
 }
 
 /// What the library was fitted with; for one that does not say, the paper's recipe if it has the paper's

@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use glimt_core::library::write_whole;
+use glimt_disk::write_whole;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,6 @@
 //! From materials to a model library.
 
 use std::borrow::Cow;
-use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -10,7 +9,7 @@ use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::{Composition, Hybrid};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::{Activation, Network};
+use glimt_core::network::Network;
 use glimt_core::neural::{Neural, Shared};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -119,8 +118,7 @@ pub fn fit(
             hybrid_materials(&objective, &truths, &state.numbers, schedule)
         }
         Model::Neural(neural) => {
-            let objective =
-                NeuralObjective::new(&neural.net.hidden(), neural.latent, Activation::HardGelu, neural.loss);
+            let objective = neural.objective();
             fits(objective.shared_len() + inputs.len() * objective.own_len())?;
             let initial = || State::new(objective.initial(schedule.seed, inputs.len()));
             let mut state = resumed.unwrap_or_else(initial);
@@ -154,56 +152,6 @@ pub fn fit(
 
 pub(crate) fn to_json(recipe: &Recipe) -> serde_json::Value {
     serde_json::to_value(recipe).expect("numbers always serialise")
-}
-
-/// Something that a fit goes on with, but that is hardly meant.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Doubt {
-    /// All values that were looked at are 0.
-    Black {
-        /// The material.
-        material: String,
-    },
-    /// Two materials come from the same bytes.
-    Same {
-        /// The two materials.
-        materials: [String; 2],
-    },
-}
-
-impl std::fmt::Display for Doubt {
-    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        match self {
-            Doubt::Black { material } => {
-                write!(f, "material \"{material}\" is black: every value that was looked at is 0")
-            }
-            Doubt::Same { materials: [first, second] } => {
-                write!(f, "materials \"{first}\" and \"{second}\" come from files with the same content")
-            }
-        }
-    }
-}
-
-/// What is hardly meant about `inputs`.
-#[must_use]
-pub fn doubts(inputs: &[Input]) -> Vec<Doubt> {
-    let mut doubts = Vec::new();
-    let mut seen: HashMap<(&str, usize), &str> = HashMap::new();
-    for input in inputs {
-        if input.truth.is_black() {
-            doubts.push(Doubt::Black { material: input.name.clone() });
-        }
-        // Materials of one library have the same file and are told apart by their place in it.
-        let place = inputs.iter().take_while(|other| other.name != input.name);
-        let place = place.filter(|other| other.origin.source == input.origin.source).count();
-        if input.origin.sha256.is_empty() {
-            continue;
-        }
-        if let Some(first) = seen.insert((&input.origin.sha256, place), &input.name) {
-            doubts.push(Doubt::Same { materials: [first.to_owned(), input.name.clone()] });
-        }
-    }
-    doubts
 }
 
 pub(crate) fn identities(inputs: &[Input]) -> Vec<(String, String)> {

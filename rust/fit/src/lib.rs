@@ -3,13 +3,14 @@
 //! [`fit()`] makes a library of materials, [`add()`] adds some to one. Below them, in reading order:
 //! [`options`], [`train`] (the loop), [`objective`] with [`ggx`], [`hybrid`], [`neural`] and [`spherical`] (the models
 //! as functions of numbers, with hand-written gradients), [`backprop`], [`analytic`], [`truth`],
-//! [`pairs`], [`loss`], [`adamw`].
+//! [`pairs`], [`loss`], [`adamw`]. [`doubts`] says what a fit goes on with, but what is hardly meant.
 
 pub mod adamw;
 pub mod add;
 pub mod analytic;
 pub mod backprop;
 pub mod checkpoint;
+pub mod doubts;
 pub mod error;
 pub mod factor;
 pub mod fit;
@@ -25,8 +26,9 @@ pub mod train;
 pub mod truth;
 
 pub use add::add;
+pub use doubts::{Doubt, doubts, doubts_of, doubts_of_tables};
 pub use error::Error;
 pub use factor::{FactorFit, FactorOptions, fit_factor};
-pub use fit::{Doubt, Input, Outcome, Watch, doubts, fit};
+pub use fit::{Input, Outcome, Watch, fit};
 pub use options::{HybridOptions, InputChoice, Model, Net, NeuralOptions, Options, Recipe, SphericalOptions};
 pub use truth::{Truth, held_out};

@@ -8,10 +8,13 @@ use glimt_core::spherical::tables::{Form, Grids};
 use serde::{Deserialize, Serialize};
 
 use crate::adamw::AdamW;
+use crate::analytic;
 use crate::backprop::Shape;
 use crate::fit::Input;
 use crate::hybrid::{HybridObjective, Sharing};
 use crate::loss::Loss;
+use crate::neural::NeuralObjective;
+use crate::objective::Objective;
 use crate::pairs::Drawing;
 use crate::train::Schedule;
 
@@ -123,6 +126,27 @@ pub const DEFAULT_LOSS: Loss = Loss { absolute: 1.0, squared: 10.0, relative: 0.
 /// Loss of the analytic part in glimt's fits.
 pub const DEFAULT_ANALYTIC_LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
 
+impl Options {
+    /// How many numbers each of so many materials has, its part of those that they share included; `None` for
+    /// models that take as many as the samples allow.
+    #[must_use]
+    pub fn numbers_each(&self, materials: usize, isotropic: bool) -> Option<usize> {
+        let part = |shared: usize, own: usize| Some(own + shared / materials.max(1));
+        match &self.model {
+            Model::Ggx(_) => Some(analytic::len(isotropic)),
+            Model::Hybrid(hybrid) => {
+                let objective = hybrid.objective(isotropic);
+                part(objective.shared_len(), objective.own_len())
+            }
+            Model::Neural(neural) => {
+                let objective = neural.objective();
+                part(objective.shared_len(), objective.own_len())
+            }
+            Model::Spherical(_) => None,
+        }
+    }
+}
+
 impl HybridOptions {
     /// glimt's own recipe for a network shared by all materials.
     #[must_use]
@@ -193,6 +217,12 @@ pub struct NeuralOptions {
     pub latent: usize,
     /// Loss of f.
     pub loss: Loss,
+}
+
+impl NeuralOptions {
+    pub(crate) fn objective(&self) -> NeuralObjective {
+        NeuralObjective::new(&self.net.hidden(), self.latent, Activation::HardGelu, self.loss)
+    }
 }
 
 /// A spherical fit.

@@ -13,7 +13,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use crate::backprop::{BLOCK, COLUMNS, ZERO_ROW};
+use crate::backprop::{BLOCK, COLUMNS, Row, ZERO_ROW};
 use crate::pairs::{Drawing, PairBlock, TargetBlock, draw, evaluate, mix};
 
 /// Where a material's values come from.
@@ -83,7 +83,11 @@ impl Truth<'_> {
         epoch: u64,
     ) -> (Cow<'p, [PairBlock]>, Vec<TargetBlock>) {
         match *self {
-            Truth::Brdf(brdf) => (Cow::Borrowed(drawn), evaluate(brdf, drawn)),
+            Truth::Brdf(brdf) => {
+                let pairs = with_data(brdf, drawn);
+                let targets = evaluate(brdf, &pairs);
+                (pairs, targets)
+            }
             Truth::Samples { light, view, f } => {
                 let order = shuffled(f.len(), seed, epoch, drawn.len() * BLOCK);
                 let blocks = order.chunks_exact(BLOCK).map(|order| take(order, light, view, f));
@@ -92,6 +96,31 @@ impl Truth<'_> {
             }
         }
     }
+}
+
+/// The pairs for which `brdf` has data. The others give way to a pair at the normal that counts nothing, as those
+/// below the horizon do.
+fn with_data<'p>(brdf: &dyn Brdf, drawn: &'p [PairBlock]) -> Cow<'p, [PairBlock]> {
+    let mut pairs = Cow::Borrowed(drawn);
+    for (block, (column, lane)) in
+        (0..drawn.len()).flat_map(|block| places().map(move |place| (block, place)))
+    {
+        let vector = |rows: &[Row; 3]| Vec3::from_array(rows.map(|row| row[column][lane]));
+        if !brdf.has_data(vector(&drawn[block].light), vector(&drawn[block].view)) {
+            let block = &mut pairs.to_mut()[block];
+            for c in 0..3 {
+                block.light[c][column][lane] = Vec3::Z[c];
+                block.view[c][column][lane] = Vec3::Z[c];
+            }
+            block.weight[column][lane] = 0.0;
+        }
+    }
+    pairs
+}
+
+/// Column and lane of every pair of a block.
+fn places() -> impl Iterator<Item = (usize, usize)> {
+    (0..BLOCK).map(|i| (i / LANES, i % LANES))
 }
 
 /// Which of `count` samples to keep from a fit, so that it can be measured on what it has not seen: that share of
@@ -130,8 +159,7 @@ fn shuffled(n: usize, seed: u64, epoch: u64, count: usize) -> Vec<usize> {
 fn take(order: &[usize], light: &[Vec3], view: &[Vec3], f: &[Vec3]) -> (PairBlock, TargetBlock) {
     let mut pairs = PairBlock { light: [ZERO_ROW; 3], view: [ZERO_ROW; 3], weight: [[1.0; LANES]; COLUMNS] };
     let mut target = [ZERO_ROW; 3];
-    for (i, &sample) in order.iter().enumerate() {
-        let (column, lane) = (i / LANES, i % LANES);
+    for ((column, lane), &sample) in places().zip(order) {
         for c in 0..3 {
             pairs.light[c][column][lane] = light[sample][c];
             pairs.view[c][column][lane] = view[sample][c];
@@ -184,6 +212,34 @@ mod tests {
             assert_eq!(pairs.weight, [[1.0; LANES]; COLUMNS]);
             assert_eq!(target[0], pairs.light[0]);
         }
+    }
+
+    #[test]
+    fn pairs_without_data_count_nothing() {
+        /// Known where the light is on one side, and far off elsewhere.
+        struct Half;
+        impl Brdf for Half {
+            fn eval(&self, light: Vec3, _: Vec3) -> Vec3 {
+                Vec3::splat(if light.x > 0.0 { 1.0 } else { 1e6 })
+            }
+
+            fn has_data(&self, light: Vec3, _: Vec3) -> bool {
+                light.x > 0.0
+            }
+        }
+        let drawn = draw(Drawing::Lobes, 1, 0, 4);
+        let (pairs, targets) = Truth::Brdf(&Half).look(&drawn, 1, 0);
+        let mut known = 0;
+        for (block, target) in targets.iter().enumerate() {
+            for (column, lane) in places() {
+                let has_data = drawn[block].light[0][column][lane] > 0.0;
+                let weight = if has_data { drawn[block].weight[column][lane] } else { 0.0 };
+                assert_eq!(pairs[block].weight[column][lane], weight);
+                assert!(!has_data || target[0][column][lane] == 1.0);
+                known += usize::from(has_data);
+            }
+        }
+        assert!((BLOCK..3 * BLOCK).contains(&known), "{known}");
     }
 
     #[test]

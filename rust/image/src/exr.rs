@@ -1,13 +1,14 @@
 //! OpenEXR files, read some rows at a time.
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use exr::block::reader::ChunksReader;
 use exr::meta::attribute::SampleType;
 use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, WritableImage, f16};
+use glimt_disk::write_whole;
 use smallvec::SmallVec;
 
 use crate::{Error, Image, Rgb, Rows};
@@ -113,7 +114,7 @@ fn fill(
 }
 
 /// Writes images of one size as one layer of float32 channels; each image has a prefix of its channels' names,
-/// empty for the image itself.
+/// empty for the image itself. The file is whole or as it was.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -132,8 +133,10 @@ pub fn write(path: &Path, images: &[(&str, &Image)]) -> Result<(), Error> {
         }
     }
     let image = exr::image::Image::from_channels((width, height), AnyChannels::sort(channels));
-    let written = image.write().to_file(path);
-    written.map_err(|e| Error::Write { path: path.to_path_buf(), reason: e.to_string() })
+    let failed = |reason: String| Error::Write { path: path.to_path_buf(), reason };
+    let mut file = Cursor::new(Vec::new());
+    image.write().to_buffered(&mut file).map_err(|e| failed(e.to_string()))?;
+    write_whole(path, file.get_ref()).map_err(|e| failed(e.to_string()))
 }
 
 #[cfg(test)]

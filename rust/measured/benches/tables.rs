@@ -67,7 +67,7 @@ fn tables(criterion: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let [merl, rgl] = ["table.binary", "table.bsdf"].map(|name| folder.path().join(name));
     glimt_measured::write_merl(&merl, &ggx).expect("a file is written");
-    glimt_measured::write_rgl(&rgl, &ggx, true, "").expect("a file is written");
+    glimt_measured::write_rgl(&rgl, &ggx, true, Default::default(), "").expect("a file is written");
     let open = |path: &Path| Merl::open(path).expect("it was just written");
     measure("merl nearest", &open(&merl).with_interpolation(Interpolation::Nearest));
     measure("merl linear", &open(&merl).with_interpolation(Interpolation::Linear));

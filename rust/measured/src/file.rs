@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::Path;
 
-use glimt_core::library::write_whole;
+use glimt_disk::write_whole;
 
 use crate::error::Error;
 
@@ -36,18 +36,13 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, Error> {
     read_regular(path).map_err(|source| Error::Read { path: path.to_owned(), source })
 }
 
-/// Reads a file that must hold exactly `size` bytes; a file of another size is not loaded.
-pub(crate) fn read_exactly(path: &Path, size: usize, what: &str) -> Result<Vec<u8>, Error> {
-    let (found, _) = read_start(path, 0)?;
-    if found != size as u64 {
-        return Err(Error::Size {
-            path: path.to_owned(),
-            found,
-            expected: size as u64,
-            what: what.to_owned(),
-        });
+/// Reads the first `size` bytes of a file, and says how many follow; a shorter file is an error.
+pub(crate) fn read_first(path: &Path, size: usize, what: &str) -> Result<(Vec<u8>, usize), Error> {
+    let (found, bytes) = read_start(path, size as u64)?;
+    if bytes.len() < size {
+        return Err(Error::size(path, bytes.len(), size, what));
     }
-    read(path)
+    Ok((bytes, found.saturating_sub(size as u64) as usize))
 }
 
 /// The length of a file and its first bytes, at most `count`.

@@ -12,8 +12,10 @@
 pub mod error;
 pub mod file;
 pub mod grid;
+mod holes;
 mod measured;
 pub mod merl;
+pub mod primaries;
 pub mod rgl;
 mod rgl_write;
 pub mod spectrum;
@@ -25,5 +27,5 @@ pub use error::Error;
 pub use measured::Measured;
 pub use merl::{Merl, write_merl};
 pub use rgl::Rgl;
-pub use rgl_write::{rgl_bytes, write_rgl};
+pub use rgl_write::{Colours, rgl_bytes, write_rgl};
 pub use utia::{Utia, write_utia};

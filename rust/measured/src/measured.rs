@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use glimt_core::tabulated::{Table, Tabulated};
-use glimt_core::{Brdf, Material};
+use glimt_core::{Brdf, Material, Oddity};
 
 use crate::error::Error;
 use crate::file;
@@ -43,7 +43,7 @@ impl Measured {
             Rgl::open(path).map(Measured::Rgl)
         } else if start == merl_header {
             Merl::open(path).map(Measured::Merl)
-        } else if size == utia::FILE_SIZE as u64 {
+        } else if usize::try_from(size).is_ok_and(|size| utia::FILE_SIZES.contains(&size)) {
             Utia::open(path, Encoding::default()).map(Measured::Utia)
         } else {
             match extension.to_ascii_lowercase().as_str() {
@@ -102,10 +102,10 @@ impl Measured {
         self.table().description()
     }
 
-    /// See [`Table::clamped`].
+    /// See [`Table::oddities`].
     #[must_use]
-    pub fn clamped(&self) -> usize {
-        self.table().clamped()
+    pub fn oddities(&self) -> &[Oddity] {
+        self.table().oddities()
     }
 }
 
@@ -121,5 +121,9 @@ impl Brdf for Measured {
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         self.table().eval_batch(light, view, out);
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        self.table().has_data(light, view)
     }
 }

@@ -15,7 +15,8 @@
 //! The database calls `wi` what is the view here.
 //!
 //! The interpolated S can be negative in saturated colours; f is 0 there, as in the database's own
-//! reader (Mitsuba returns the negative number).
+//! reader (Mitsuba returns the negative number). Files of the database itself hold densities a hair below 0,
+//! which count as 0 too, and a projected area of 0 is filled from its neighbours, as it would divide f.
 
 use std::f32::consts::{FRAC_1_PI, FRAC_2_PI, FRAC_PI_2, PI, TAU};
 use std::path::Path;
@@ -23,11 +24,12 @@ use std::path::Path;
 use glam::{Vec2, Vec3, Vec4};
 use glimt_core::sampler::DirectionSampler;
 use glimt_core::tabulated::Table;
-use glimt_core::{Brdf, is_lit};
+use glimt_core::{Brdf, Oddity, is_lit};
 
 use crate::error::Error;
 use crate::file;
 use crate::grid::{Blend, Directions, Extent, Grid};
+use crate::holes::{self, Axis};
 use crate::spectrum;
 use crate::tensor::{DType, Field, TensorFile};
 use crate::warp::Warp;
@@ -47,7 +49,7 @@ const MIN_JACOBIAN: f32 = 5e-10;
 pub struct Rgl {
     name: String,
     description: String,
-    clamped: usize,
+    oddities: Vec<Oddity>,
     symmetry: Symmetry,
     /// Whether the tables leave out D/4σ ("jacobian" in the file).
     jacobian: bool,
@@ -121,26 +123,27 @@ impl Rgl {
     ///
     /// # Errors
     /// [`Error::Invalid`] or [`Error::Size`] for a broken container, a missing field, one of a wrong
-    /// type or shape, and for values that are not finite or out of range.
+    /// type or shape, for values that are not finite, and where no area is above 0.
     pub fn from_bytes(path: &Path, bytes: &[u8]) -> Result<Rgl, Error> {
-        let fields = Fields { path, file: TensorFile::parse(path, bytes)? };
+        let (file, trailing) = TensorFile::parse(path, bytes)?;
+        let fields = Fields { path, file };
         let phi = fields.knots("phi_i")?;
         let theta = fields.knots("theta_i")?;
         let slices = [phi.len(), theta.len()];
         let symmetry = fields.symmetry(&phi)?;
-        let (ndf_extent, ndf) = fields.density("ndf", &[])?;
-        let (sigma_extent, sigma) = fields.density("sigma", &[])?;
-        if sigma.contains(&0.0) {
-            return Err(fields.error("sigma", 0, "areas above 0, as they divide f"));
-        }
-        let (vndf_extent, vndf) = fields.density("vndf", &slices)?;
-        let (luminance_extent, luminance) = fields.density("luminance", &slices)?;
-        let (reflectance_extent, reflectance, clamped) = fields.reflectance(slices)?;
+        let mut oddities = Vec::new();
+        let (ndf_extent, ndf) = fields.density("ndf", &[], &mut oddities)?;
+        let (sigma_extent, sigma) = fields.areas("sigma", &mut oddities)?;
+        let (vndf_extent, vndf) = fields.density("vndf", &slices, &mut oddities)?;
+        let (luminance_extent, luminance) = fields.density("luminance", &slices, &mut oddities)?;
+        let (reflectance_extent, reflectance) = fields.reflectance(slices, &mut oddities)?;
+        oddities.push(Oddity::Trailing { bytes: trailing });
+        oddities.retain(Oddity::is_there);
 
         Ok(Rgl {
             name: material_name(path),
             description: fields.description()?,
-            clamped,
+            oddities,
             symmetry,
             jacobian: fields.flag("jacobian")?,
             directions: Directions::new(phi, theta),
@@ -235,8 +238,8 @@ impl Table for Rgl {
     }
 
     /// Where the interpolation of the table gives a negative reflectance, f is 0 too.
-    fn clamped(&self) -> usize {
-        self.clamped
+    fn oddities(&self) -> &[Oddity] {
+        &self.oddities
     }
 }
 
@@ -350,17 +353,39 @@ impl Fields<'_> {
         Ok((Extent { width: square[1], height: square[0] }, values))
     }
 
-    /// The same for a density or an area, which cannot be negative.
-    fn density(&self, name: &str, leading: &[usize]) -> Result<(Extent, Vec<f32>), Error> {
-        let (extent, values) = self.slices(name, leading)?;
-        match values.iter().find(|&&value| value < 0.0) {
-            Some(negative) => Err(self.error(name, negative, "no negative number")),
-            None => Ok((extent, values)),
-        }
+    /// The same for a density; a negative one counts as 0.
+    fn density(
+        &self,
+        name: &'static str,
+        leading: &[usize],
+        oddities: &mut Vec<Oddity>,
+    ) -> Result<(Extent, Vec<f32>), Error> {
+        let (extent, mut values) = self.slices(name, leading)?;
+        oddities.push(negative(name, &values));
+        values.iter_mut().for_each(|value| *value = value.max(0.0));
+        Ok((extent, values))
     }
 
-    /// The reflectance table in linear sRGB, and how many negative values the file has for it.
-    fn reflectance(&self, slices: [usize; 2]) -> Result<(Extent, Vec<Vec4>, usize), Error> {
+    /// A table of projected areas; those that are not above 0 are filled from their neighbours.
+    fn areas(&self, name: &'static str, oddities: &mut Vec<Oddity>) -> Result<(Extent, Vec<f32>), Error> {
+        let (extent, mut values) = self.slices(name, &[])?;
+        let has_area: Vec<bool> = values.iter().map(|&area| area > 0.0).collect();
+        if !has_area.contains(&true) {
+            return Err(self.error(name, "no area above 0", "at least one, as they divide f"));
+        }
+        oddities.push(Oddity::NoArea { count: has_area.iter().filter(|&&has| !has).count() });
+        // Azimuths run along the rows' numbers; the first and the last are the same direction.
+        let axis = |length| Axis { length, is_cyclic: false };
+        holes::fill(&mut values, &has_area, [axis(extent.height), axis(extent.width)]);
+        Ok((extent, values))
+    }
+
+    /// The reflectance table in linear sRGB.
+    fn reflectance(
+        &self,
+        slices: [usize; 2],
+        oddities: &mut Vec<Oddity>,
+    ) -> Result<(Extent, Vec<Vec4>), Error> {
         let [phi, theta] = slices;
         let (name, weights) = if self.file.get("rgb").is_some() {
             ("rgb", vec![Vec3::X, Vec3::Y, Vec3::Z])
@@ -386,8 +411,8 @@ impl Fields<'_> {
                 }
             }
         }
-        let negative = values.iter().filter(|&&value| value < 0.0).count();
-        Ok((extent, reflectance, negative))
+        oddities.push(negative(name, &values));
+        Ok((extent, reflectance))
     }
 
     fn description(&self) -> Result<String, Error> {
@@ -419,6 +444,10 @@ impl Fields<'_> {
             }
         }
     }
+}
+
+fn negative(what: &'static str, values: &[f32]) -> Oddity {
+    Oddity::Negative { what, count: values.iter().filter(|&&value| value < 0.0).count() }
 }
 
 /// The material's name: the file's, without extension and the database's `_rgb` or `_spec`.

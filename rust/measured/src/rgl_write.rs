@@ -15,6 +15,7 @@ use glimt_core::Brdf;
 use crate::error::Error;
 use crate::file;
 use crate::grid::{Blend, Extent, Grid};
+use crate::primaries;
 use crate::tensor::{Field, TensorFile};
 use crate::warp::Warp;
 
@@ -54,7 +55,17 @@ const ITERATIONS: usize = 8;
 /// Share of a cosine distribution in D: f is S times D and would be lost where D vanishes.
 const DIFFUSE_SHARE: f32 = 1e-3;
 
-/// Writes `brdf` as a `.bsdf` file in linear sRGB. `isotropic` says whether only the difference of the
+/// How a file stores colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Colours {
+    /// Linear sRGB (`rgb`), which RGB renderers read.
+    #[default]
+    Rgb,
+    /// Spectra (`spectra` and `wavelengths`), made by [`primaries`], which spectral renderers read.
+    Spectra,
+}
+
+/// Writes `brdf` as a `.bsdf` file. `isotropic` says whether only the difference of the
 /// azimuths counts; the file is then a hundredth as long. `description` is a line for people.
 ///
 /// f comes back interpolated between tables: of an isotropic material for 32 elevations of the view, of
@@ -66,23 +77,39 @@ pub fn write_rgl(
     path: impl AsRef<Path>,
     brdf: &dyn Brdf,
     isotropic: bool,
+    colours: Colours,
     description: &str,
 ) -> Result<(), Error> {
-    file::write(path.as_ref(), &rgl_bytes(brdf, isotropic, description))
+    file::write(path.as_ref(), &rgl_bytes(brdf, isotropic, colours, description))
 }
 
 /// The bytes that [`write_rgl`] writes.
 #[must_use]
-pub fn rgl_bytes(brdf: &dyn Brdf, isotropic: bool, description: &str) -> Vec<u8> {
-    to_file(brdf, &Layout::new(isotropic), description).to_bytes()
+pub fn rgl_bytes(brdf: &dyn Brdf, isotropic: bool, colours: Colours, description: &str) -> Vec<u8> {
+    to_file(brdf, &Layout::new(isotropic), colours, description).to_bytes()
 }
 
-fn to_file(brdf: &dyn Brdf, layout: &Layout, description: &str) -> TensorFile<'static> {
+impl Colours {
+    /// The wavelengths of the planes, where they have any, and the weights of red, green and blue in each plane.
+    fn planes(self) -> (Option<Vec<f32>>, Vec<Vec3>) {
+        match self {
+            Colours::Rgb => (None, vec![Vec3::X, Vec3::Y, Vec3::Z]),
+            Colours::Spectra => {
+                let nodes = primaries::nodes();
+                let wavelengths = nodes.iter().map(|node| node.wavelength).collect();
+                (Some(wavelengths), nodes.iter().map(|node| node.weights).collect())
+            }
+        }
+    }
+}
+
+fn to_file(brdf: &dyn Brdf, layout: &Layout, colours: Colours, description: &str) -> TensorFile<'static> {
     let Layout { phi, theta, normals, vndf: vndf_extent, reflectance } = layout;
     let (ndf, sigma) = normal_distribution(brdf, *normals);
     let tables = Normals { ndf: Grid::new(*normals, ndf.clone()), sigma: Grid::new(*normals, sigma.clone()) };
 
-    let (mut vndf, mut luminance, mut rgb) = (Vec::new(), Vec::new(), Vec::new());
+    let (wavelengths, weights) = colours.planes();
+    let (mut vndf, mut luminance, mut planes) = (Vec::new(), Vec::new(), Vec::new());
     for (&phi, &theta) in phi.iter().flat_map(|phi| theta.iter().map(move |theta| (phi, theta))) {
         let view = direction(theta.min(LAST_COS.acos()), phi);
         // Azimuths count from the view's where the material is isotropic, and that is at 0.
@@ -91,14 +118,14 @@ fn to_file(brdf: &dyn Brdf, layout: &Layout, description: &str) -> TensorFile<'s
         vndf.extend(visible);
         let slice = slice(brdf, &tables, &warp, *reflectance, view, theta);
         luminance.extend(slice.iter().map(|s| s.element_sum() / 3.0));
-        for channel in 0..3 {
-            rgb.extend(slice.iter().map(|s| s[channel]));
+        for weight in &weights {
+            planes.extend(slice.iter().map(|s| s.dot(*weight)));
         }
     }
     let views = [phi.len(), theta.len()];
     let plane = |extent: &Extent| [extent.height, extent.width];
     let shape = |tail: &[usize]| [&views[..], tail].concat();
-    TensorFile {
+    let mut file = TensorFile {
         fields: vec![
             Field::from_bytes("description", description.as_bytes()),
             Field::from_f32("phi_i", &[phi.len()], phi),
@@ -107,10 +134,14 @@ fn to_file(brdf: &dyn Brdf, layout: &Layout, description: &str) -> TensorFile<'s
             Field::from_f32("ndf", &plane(normals), &ndf),
             Field::from_f32("vndf", &shape(&plane(vndf_extent)), &vndf),
             Field::from_f32("luminance", &shape(&plane(reflectance)), &luminance),
-            Field::from_f32("rgb", &shape(&[3, reflectance.height, reflectance.width]), &rgb),
             Field::from_bytes("jacobian", &[1]),
         ],
-    }
+    };
+    let name = if wavelengths.is_some() { "spectra" } else { "rgb" };
+    let shape = shape(&[weights.len(), reflectance.height, reflectance.width]);
+    file.fields.extend(wavelengths.map(|nm| Field::from_f32("wavelengths", &[nm.len()], &nm)));
+    file.fields.push(Field::from_f32(name, &shape, &planes));
+    file
 }
 
 /// D and σ as a reader interpolates them.
@@ -282,7 +313,7 @@ mod tests {
     }
 
     fn written(brdf: &dyn Brdf, isotropic: bool) -> Rgl {
-        let file = to_file(brdf, &Layout::new(isotropic), "test");
+        let file = to_file(brdf, &Layout::new(isotropic), Colours::Rgb, "test");
         Rgl::from_bytes(Path::new("test.bsdf"), &file.to_bytes()).unwrap()
     }
 
@@ -307,7 +338,7 @@ mod tests {
         for alpha in [0.05, 0.2, 0.6] {
             let brdf = ggx([alpha; 2]);
             let file = written(&brdf, true);
-            assert!(file.is_isotropic() && file.clamped() == 0);
+            assert!(file.is_isotropic() && file.oddities().is_empty());
             let error = mean_error(&brdf, &file);
             println!("alpha {alpha}: {error:.2e}");
             assert!(error < 0.02, "alpha {alpha}: {error}");
@@ -322,6 +353,26 @@ mod tests {
         let error = mean_error(&brdf, &file);
         println!("{error:.2e}");
         assert!(error < 0.05, "{error}");
+    }
+
+    #[test]
+    fn spectra_are_read_as_spectra_and_have_the_colours() {
+        let brdf = ggx([0.3; 2]);
+        let file = to_file(&brdf, &Layout::new(true), Colours::Spectra, "test");
+        let count = file.get("wavelengths").unwrap().shape[0];
+        assert_eq!(file.get("spectra").unwrap().shape, [1, 32, count, 64, 64]);
+        assert!(file.get("rgb").is_none());
+        let spectral = Rgl::from_bytes(Path::new("test.bsdf"), &file.to_bytes()).unwrap();
+        assert!(spectral.oddities().is_empty());
+        let rgb = written(&brdf, true);
+        for k in 0..1000 {
+            let u = |step: f32| (k as f32 * step).fract();
+            let (light, view) =
+                (direction(1.4 * u(0.754_877_7), 6.0 * u(0.3)), direction(1.4 * u(0.569_840_3), 1.0));
+            let (f, expected) = (spectral.eval(light, view), rgb.eval(light, view));
+            // The observer of the reader is a fit to that of the primaries.
+            assert!((f - expected).abs().max_element() < 0.01 * expected.max_element(), "{f} for {expected}");
+        }
     }
 
     #[test]

@@ -123,14 +123,15 @@ pub struct TensorFile<'a> {
 }
 
 impl<'a> TensorFile<'a> {
-    /// Decodes the bytes of a file; `path` serves the error messages only.
+    /// Decodes the bytes of a file, and says how many of them follow the last tensor; `path` serves the error
+    /// messages only.
     ///
     /// Nothing is allocated that a claim in the header could make larger than the file itself.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a wrong magic, version, type or name, [`Error::Size`] where header and
-    /// length of the file disagree, trailing bytes included.
-    pub fn parse(path: &Path, bytes: &'a [u8]) -> Result<TensorFile<'a>, Error> {
+    /// length of the file disagree.
+    pub fn parse(path: &Path, bytes: &'a [u8]) -> Result<(TensorFile<'a>, usize), Error> {
         let mut header = Cursor { path, bytes, at: 0 };
         let magic = header.take(MAGIC.len(), "magic")?;
         if magic != MAGIC {
@@ -165,11 +166,7 @@ impl<'a> TensorFile<'a> {
             let expected = format!("at most the file's {} bytes", bytes.len());
             return Err(Error::invalid(path, "tensors", format!("{total} bytes"), expected));
         }
-        let end = end.max(header.at);
-        if end != bytes.len() {
-            return Err(Error::size(path, bytes.len(), end, "end of the last tensor"));
-        }
-        Ok(TensorFile { fields })
+        Ok((TensorFile { fields }, bytes.len() - end.max(header.at)))
     }
 
     /// The tensor called `name`.
@@ -334,7 +331,7 @@ mod tests {
     }
 
     fn parse(bytes: &[u8]) -> Result<TensorFile<'_>, Error> {
-        TensorFile::parse(Path::new("felt.bsdf"), bytes)
+        TensorFile::parse(Path::new("felt.bsdf"), bytes).map(|(file, _)| file)
     }
 
     /// The bytes of a file with one float32 field `x` that claims this shape and offset.
@@ -369,14 +366,14 @@ mod tests {
     }
 
     #[test]
-    fn every_truncation_and_any_trailing_byte_is_an_error() {
+    fn every_truncation_is_an_error_and_bytes_after_the_end_are_counted() {
         let mut bytes = file().to_bytes();
         for length in 0..bytes.len() {
             assert!(parse(&bytes[..length]).is_err(), "{length}");
         }
-        bytes.push(0);
-        let message = parse(&bytes).unwrap_err().to_string();
-        assert_eq!(message, "felt.bsdf: 153 bytes, expected 152 (end of the last tensor)");
+        bytes.extend([0; 3]);
+        let (read, trailing) = TensorFile::parse(Path::new("felt.bsdf"), &bytes).unwrap();
+        assert_eq!((read, trailing), (file(), 3));
     }
 
     #[test]

@@ -14,11 +14,12 @@
 //! interval, as in all of these, but never below 0.
 
 use std::f32::consts::{FRAC_PI_2, TAU};
+use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use glimt_core::tabulated::Table;
-use glimt_core::{Brdf, is_lit};
+use glimt_core::{Brdf, Oddity, is_lit};
 
 use crate::error::Error;
 use crate::file;
@@ -32,6 +33,9 @@ const PLANE: usize = DIRECTIONS * DIRECTIONS;
 /// Bytes of every UTIA file.
 pub const FILE_SIZE: usize = 3 * PLANE * 8;
 const SIZE_RULE: &str = "3 planes of 288 x 288 float64";
+/// Lengths of files that are read: without a header, the length tells the format, and less than one more number
+/// can only be something that was appended.
+pub const FILE_SIZES: Range<usize> = FILE_SIZE..FILE_SIZE + size_of::<f64>();
 
 const THETA_STEP: f32 = FRAC_PI_2 / 6.0;
 const PHI_STEP: f32 = TAU / PHIS as f32;
@@ -81,7 +85,7 @@ fn linear_to_srgb(x: f64) -> f64 {
 #[derive(Clone, Debug)]
 pub struct Utia {
     name: String,
-    clamped: usize,
+    oddities: Vec<Oddity>,
     /// f for each pair of directions, view fastest.
     pairs: Vec<Vec3>,
 }
@@ -93,7 +97,16 @@ impl Utia {
     /// [`Error::Read`], and those of [`Utia::from_bytes`].
     pub fn open(path: impl AsRef<Path>, encoding: Encoding) -> Result<Utia, Error> {
         let path = path.as_ref();
-        Utia::from_bytes(path, &file::read_exactly(path, FILE_SIZE, SIZE_RULE)?, encoding)
+        let (size, bytes) = file::read_start(path, FILE_SIZES.end as u64)?;
+        if bytes.len() < FILE_SIZES.end {
+            return Utia::from_bytes(path, &bytes, encoding);
+        }
+        Err(Error::Size {
+            path: path.to_owned(),
+            found: size,
+            expected: FILE_SIZE as u64,
+            what: SIZE_RULE.into(),
+        })
     }
 
     /// Decodes the bytes of a `.bin` file; `path` gives the material's name and that in errors.
@@ -101,11 +114,15 @@ impl Utia {
     /// # Errors
     /// [`Error::Size`] for a file of another length, [`Error::Invalid`] for values that are not finite.
     pub fn from_bytes(path: &Path, bytes: &[u8], encoding: Encoding) -> Result<Utia, Error> {
-        if bytes.len() != FILE_SIZE {
+        if !FILE_SIZES.contains(&bytes.len()) {
             return Err(Error::size(path, bytes.len(), FILE_SIZE, SIZE_RULE));
         }
-        let (pairs, clamped) = decode_pairs(path, bytes, encoding)?;
-        Ok(Utia { name: file::stem(path), clamped, pairs })
+        let (table, rest) = bytes.split_at(FILE_SIZE);
+        let (pairs, negative) = decode_pairs(path, table, encoding)?;
+        let oddities =
+            [Oddity::Negative { what: "f", count: negative }, Oddity::Trailing { bytes: rest.len() }];
+        let oddities = oddities.into_iter().filter(Oddity::is_there).collect();
+        Ok(Utia { name: file::stem(path), oddities, pairs })
     }
 
     /// File name without extension.
@@ -128,8 +145,8 @@ impl Table for Utia {
         false
     }
 
-    fn clamped(&self) -> usize {
-        self.clamped
+    fn oddities(&self) -> &[Oddity] {
+        &self.oddities
     }
 }
 
@@ -358,11 +375,16 @@ mod tests {
     }
 
     #[test]
-    fn negative_numbers_are_zero_and_counted() {
+    fn negative_numbers_are_zero_and_counted_and_so_are_bytes_after_the_table() {
         let mut bytes = to_bytes(&Cloth, Encoding::Raw);
         bytes[..8].copy_from_slice(&(-3.0_f64).to_le_bytes());
+        bytes.push(b'\n');
         let utia = Utia::from_bytes(Path::new(PATH), &bytes, Encoding::Raw).unwrap();
-        assert_eq!((utia.clamped(), utia.eval(Vec3::Z, Vec3::Z).x), (1, 0.0));
+        assert_eq!(utia.eval(Vec3::Z, Vec3::Z).x, 0.0);
+        assert_eq!(
+            utia.oddities(),
+            [Oddity::Negative { what: "f", count: 1 }, Oddity::Trailing { bytes: 1 }]
+        );
     }
 
     #[test]
@@ -386,7 +408,7 @@ mod tests {
             stored in 0.0..f64::MAX,
         ) {
             let f = Encoding::Raw.decode(stored).min(f64::from(f32::MAX) / 64.0) as f32;
-            let utia = Utia { name: String::new(), clamped: 0, pairs: vec![Vec3::splat(f); PLANE] };
+            let utia = Utia { name: String::new(), oddities: Vec::new(), pairs: vec![Vec3::splat(f); PLANE] };
             let f = utia.eval(light.into(), view.into());
             prop_assert!(f.is_finite() && f.min_element() >= 0.0, "{f}");
         }

@@ -7,7 +7,9 @@ mod check;
 mod library;
 mod material;
 mod parallel;
+mod write;
 
+use glimt_disk::printable;
 use pyo3::prelude::*;
 
 pyo3::create_exception!(
@@ -19,7 +21,7 @@ pyo3::create_exception!(
 
 /// An error of the libraries as Python's.
 fn error(message: impl ToString) -> PyErr {
-    Error::new_err(message.to_string())
+    Error::new_err(printable(&message.to_string()).into_owned())
 }
 
 /// Native part of glimt.
@@ -31,5 +33,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_class::<material::Material>()?;
     module.add_class::<check::CheckReport>()?;
     module.add_function(wrap_pyfunction!(check::check, module)?)?;
+    module.add_function(wrap_pyfunction!(write::probe, module)?)?;
+    module.add_function(wrap_pyfunction!(write::write_whole, module)?)?;
     module.add_function(wrap_pyfunction!(library::load, module)?)
 }

@@ -53,6 +53,11 @@ impl Library {
         py.detach(|| Material::new(&self.source, name, self.sampler)).map_err(error)
     }
 
+    /// A material between the two of those names, with a share `weight` in [0, 1] of the second.
+    fn mix(&self, py: Python, a: &str, b: &str, weight: f32) -> PyResult<Material> {
+        py.detach(|| Material::mixed(&self.source, [a, b], weight, self.sampler)).map_err(error)
+    }
+
     fn __getitem__(&self, py: Python, name: &str) -> PyResult<Material> {
         self.material(py, Some(name))
     }

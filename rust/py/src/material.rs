@@ -47,6 +47,18 @@ impl Material {
         Ok(Material { name: name.clone(), kind: source.kind(), material })
     }
 
+    /// Between the materials of two names, with a share `weight` of the second.
+    pub fn mixed(
+        source: &Source,
+        [a, b]: [&str; 2],
+        weight: f32,
+        sampler: Option<SamplerChoice>,
+    ) -> Result<Material, glimt_files::Error> {
+        let material = source.library()?.mix(a, b, weight)?;
+        let material = sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
+        Ok(Material { name: glimt_core::library::mix_name(a, b, weight), kind: source.kind(), material })
+    }
+
     /// The same material after a change.
     fn changed(&self, material: glimt_core::Material) -> Material {
         Material { name: self.name.clone(), kind: self.kind, material }
@@ -65,6 +77,12 @@ impl Material {
     #[getter]
     fn kind(&self) -> &'static str {
         self.kind
+    }
+
+    /// What is odd about the file that a measurement was read from, and what was made of it, in words.
+    #[getter]
+    fn oddities(&self) -> Vec<String> {
+        self.material.oddities().iter().map(ToString::to_string).collect()
     }
 
     /// Diffuse albedo, linear RGB; None where the model has no analytic part.

@@ -100,19 +100,30 @@ const DARK: f64 = 1e-8;
 const CHUNK: usize = 16_384;
 
 impl BrdfError {
-    /// Of `model` against `truth`.
+    /// Of `model` against `truth`, where that has data; 0 if it has none.
     #[must_use]
     pub fn measure(truth: &dyn Brdf, model: &dyn Brdf, protocol: &Protocol) -> Self {
+        BrdfError::measure_counted(truth, model, protocol).0
+    }
+
+    /// The same, and how many pairs it is over.
+    #[must_use]
+    pub fn measure_counted(truth: &dyn Brdf, model: &dyn Brdf, protocol: &Protocol) -> (Self, usize) {
         let chunks = protocol.light.par_chunks(CHUNK).zip(protocol.view.par_chunks(CHUNK));
-        let sums: Vec<[f64; 5]> = chunks
+        let sums: Vec<([f64; 5], usize)> = chunks
             .map(|(light, view)| {
+                let pairs = light.iter().copied().zip(view.iter().copied());
+                let (light, view): (Vec<Vec3>, Vec<Vec3>) =
+                    pairs.filter(|&(light, view)| truth.has_data(light, view)).unzip();
                 let mut values = [vec![Vec3::ZERO; light.len()], vec![Vec3::ZERO; light.len()]];
-                truth.eval_batch(light, view, &mut values[0]);
-                model.eval_batch(light, view, &mut values[1]);
-                sum_errors(light, &values[0], &values[1])
+                truth.eval_batch(&light, &view, &mut values[0]);
+                model.eval_batch(&light, &view, &mut values[1]);
+                (sum_errors(&light, &values[0], &values[1]), light.len())
             })
             .collect();
-        BrdfError::of_sums(&sums, protocol.light.len())
+        let (sums, counts): (Vec<_>, Vec<usize>) = sums.into_iter().unzip();
+        let pairs = counts.iter().sum();
+        (BrdfError::of_sums(&sums, pairs), pairs)
     }
 
     /// Of `model` against scattered samples: means over these, each counting the same.
@@ -126,11 +137,11 @@ impl BrdfError {
         BrdfError::of_sums(&[sum_errors(light, f, &values)], light.len())
     }
 
-    /// The error over two sets of pairs together, of which `counts` says the sizes.
+    /// The error over two sets of pairs together, each with its number of pairs.
     #[must_use]
-    pub fn over_both(errors: [Self; 2], counts: [usize; 2]) -> Self {
+    pub fn over_both([(a, a_count), (b, b_count)]: [(Self, usize); 2]) -> Self {
+        let counts = [a_count, b_count];
         let total = (counts[0] + counts[1]).max(1) as f64;
-        let [a, b] = errors;
         let mean = |a: f64, b: f64| (a * counts[0] as f64 + b * counts[1] as f64) / total;
         BrdfError {
             smape: mean(a.smape, b.smape),
@@ -142,7 +153,7 @@ impl BrdfError {
     }
 
     fn of_sums(sums: &[[f64; 5]], pairs: usize) -> Self {
-        let count = (pairs * 3) as f64;
+        let count = (pairs.max(1) * 3) as f64;
         let mean = |i: usize| sums.iter().map(|s| s[i]).sum::<f64>() / count;
         BrdfError { smape: mean(0), log_mae: mean(1), log_mse: mean(2), mae: mean(3), rmse: mean(4).sqrt() }
     }
@@ -177,6 +188,10 @@ impl Brdf for Swapped<'_> {
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
         self.0.eval_batch(view, light, out);
+    }
+
+    fn has_data(&self, light: Vec3, view: Vec3) -> bool {
+        self.0.has_data(view, light)
     }
 }
 
@@ -231,13 +246,35 @@ mod tests {
         // Either of two directions: 1 − (1 − cos² 75°)².
         assert!((counts[0] as f64 / 1e5 - 0.129_5).abs() < 4e-3, "{counts:?}");
         let (truth, model) = (Constant(1.0), Constant(3.0));
-        let errors = parts.each_ref().map(|part| BrdfError::measure(&truth, &model, part));
-        assert!(errors[0].mae < errors[1].mae);
+        let errors = parts.each_ref().map(|part| BrdfError::measure_counted(&truth, &model, part));
+        assert!(errors[0].0.mae < errors[1].0.mae);
+        assert_eq!(errors.map(|(_, pairs)| pairs), counts);
         let whole = BrdfError::measure(&truth, &model, &protocol);
-        let both = BrdfError::over_both(errors, counts);
+        let both = BrdfError::over_both(errors);
         for (a, b) in [(whole.mae, both.mae), (whole.rmse, both.rmse), (whole.smape, both.smape)] {
             assert!((a - b).abs() < 1e-9, "{whole:?} {both:?}");
         }
+    }
+
+    #[test]
+    fn pairs_without_data_count_nothing() {
+        /// Known where the light is on one side, and far off elsewhere.
+        struct Half;
+        impl Brdf for Half {
+            fn eval(&self, light: Vec3, _: Vec3) -> Vec3 {
+                Vec3::splat(if light.x > 0.0 { 1.0 } else { 1e6 })
+            }
+
+            fn has_data(&self, light: Vec3, _: Vec3) -> bool {
+                light.x > 0.0
+            }
+        }
+        let protocol = Protocol::seeded(4, 20_000);
+        let (error, pairs) = BrdfError::measure_counted(&Half, &Constant(3.0), &protocol);
+        assert!((error.smape - 1.0).abs() < 1e-6 && (error.mae - 4.0 / 3.0).abs() < 2e-2, "{error:?}");
+        assert!(pairs.abs_diff(10_000) < 500, "{pairs}");
+        let (error, pairs) = BrdfError::measure_counted(&Swapped(&Half), &Constant(3.0), &protocol);
+        assert!(error.mae < 2.0 && pairs < 10_500, "{error:?} {pairs}");
     }
 
     #[test]

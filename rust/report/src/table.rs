@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use glimt_disk::printable;
 use serde_json::Value;
 
 use crate::study::{Case, Study};
@@ -62,7 +63,7 @@ pub fn csv(study: &Study) -> String {
 /// The models as a short table for people.
 #[must_use]
 pub fn text(study: &Study) -> String {
-    let width = study.candidates.iter().map(|c| c.name.chars().count()).max().unwrap_or(0).max(5);
+    let width = study.candidates.iter().map(|c| printable(&c.name).chars().count()).max().unwrap_or(0).max(5);
     let mut text = format!(
         "{:width$} {:>9} {:>9} {:>8} {:>8} {:>9} {:>8}",
         "model", "batch ns", "single ns", "bytes", "SMAPE", "log-MAE", "grazing"
@@ -76,7 +77,7 @@ pub fn text(study: &Study) -> String {
         let _ = write!(
             text,
             "\n{:width$} {:>9.1} {:>9.1} {:>8.0} {:>8.4} {:>9.5} {:>8.4}",
-            candidate.name,
+            printable(&candidate.name),
             ns("batch"),
             ns("single"),
             candidate.bytes_per_material(),

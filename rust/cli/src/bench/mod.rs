@@ -19,7 +19,7 @@ use glimt_fit::Net;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::fit::parse_net;
-use crate::output;
+use crate::{inputs, output};
 use cases::Case;
 use report::{Measurement, Report};
 use training::Training;
@@ -35,7 +35,7 @@ use ways::{PAIRS, Way, Workspace};
 pub struct Arguments {
     /// Model libraries, measurements or NBRDF weights, of which the first material is measured; networks of random
     /// weights if not given
-    #[arg(value_name = "FILE", conflicts_with_all = ["model", "net"])]
+    #[arg(value_name = "FILE", conflicts_with_all = ["model", "net"], value_parser = inputs::file())]
     files: Vec<PathBuf>,
     /// Models to measure [default: all]
     #[arg(long, value_name = "MODEL", value_parser = kind_parser())]
@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments, threads: Option<u16>) -> Result<()> {
         }
     }
     if arguments.json {
-        output::print(&report.json()?)?;
+        output::print_raw(&report.json()?)?;
     }
     Ok(())
 }

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use glimt_core::library::write_whole;
 use glimt_files::{sha256, sha256_of};
 use glimt_report::study::Settings;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+
+use crate::output;
 
 /// Raised whenever a measurement changes its meaning.
 const VERSION: u32 = 2;
@@ -50,8 +51,7 @@ impl Cache {
             return Ok(kept);
         }
         let measured = measure()?;
-        write_whole(&path, &serde_json::to_vec(&measured)?)
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        output::write(&path, &serde_json::to_vec(&measured)?)?;
         Ok(measured)
     }
 }

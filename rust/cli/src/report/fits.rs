@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::Arguments;
 use super::opponents::{Model, Truth};
 use crate::fit::ModelName;
+use crate::output;
 
 /// How a library was made here, kept beside it: the same again needs no fit.
 #[derive(PartialEq, Serialize, Deserialize)]
@@ -28,7 +29,7 @@ struct Record {
 /// # Errors
 /// Those of `glimt fit`.
 pub fn fit(arguments: &Arguments, truths: &[Truth]) -> Result<Vec<Model>> {
-    let directory = arguments.output.join("libraries");
+    let directory = directory(arguments);
     if !arguments.models.is_empty() {
         std::fs::create_dir_all(&directory)
             .with_context(|| format!("cannot make the directory {}", directory.display()))?;
@@ -50,6 +51,31 @@ fn sizes(model: ModelName, asked: &[Net]) -> Vec<Option<Net>> {
     asked.iter().copied().map(Some).collect()
 }
 
+fn directory(arguments: &Arguments) -> PathBuf {
+    arguments.output.join("libraries")
+}
+
+/// The libraries that the fits are written to.
+pub fn libraries(arguments: &Arguments) -> Vec<PathBuf> {
+    let names = |&model: &ModelName| {
+        let name = move |net: Option<Net>| format!("{}.safetensors", name(model, net));
+        sizes(model, &arguments.sizes).into_iter().map(name)
+    };
+    arguments.models.iter().flat_map(names).map(|name| directory(arguments).join(name)).collect()
+}
+
+/// The name of a model as an option, and of its network.
+fn spelled(model: ModelName, net: Option<Net>) -> (String, Option<String>) {
+    let kind = model.to_possible_value().expect("every model has a name").get_name().to_owned();
+    (kind, net.map(|Net { width, layers }| format!("{width}x{layers}")))
+}
+
+/// How a fit is called, and the file that it is written to.
+fn name(model: ModelName, net: Option<Net>) -> String {
+    let (kind, net) = spelled(model, net);
+    net.iter().fold(kind, |name, net| format!("{name}-{net}"))
+}
+
 fn fit_one(
     arguments: &Arguments,
     truths: &[Truth],
@@ -57,9 +83,8 @@ fn fit_one(
     model: ModelName,
     net: Option<Net>,
 ) -> Result<Model> {
-    let kind = model.to_possible_value().expect("every model has a name").get_name().to_owned();
-    let net = net.map(|Net { width, layers }| format!("{width}x{layers}"));
-    let name = net.iter().fold(kind.clone(), |name, net| format!("{name}-{net}"));
+    let name = name(model, net);
+    let (kind, net) = spelled(model, net);
     let mut options =
         vec!["fit".to_owned(), "--model".into(), kind, "--seed".into(), arguments.seed.to_string()];
     options.extend(net.into_iter().flat_map(|net| ["--net".into(), net]));
@@ -75,11 +100,10 @@ fn fit_one(
     {
         Some(kept) => kept.seconds,
         None => {
-            eprintln!("fitting {name} to {} materials", truths.len());
+            output::note(&format!("fitting {name} to {} materials", truths.len()));
             let seconds = run(&options, truths, &path)?;
             let record = Record { options, inputs, seconds };
-            std::fs::write(&record_path, serde_json::to_vec(&record)?)
-                .with_context(|| format!("cannot write {}", record_path.display()))?;
+            output::write(&record_path, &serde_json::to_vec(&record)?)?;
             seconds
         }
     };

@@ -40,7 +40,10 @@ pub fn render(opponents: &Opponents, material: &str, cache: &Cache) -> Result<Fr
 fn request(truth: &Truth, models: &[(&Model, String)]) -> Result<Value> {
     let absolute = |path: &Path| -> Result<String> {
         let path = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
-        Ok(path.to_string_lossy().into_owned())
+        let name = path
+            .to_str()
+            .with_context(|| format!("{} is no name in UTF-8, which Mitsuba needs", path.display()))?;
+        Ok(name.to_owned())
     };
     let mut bsdfs: BTreeMap<String, Value> = BTreeMap::new();
     let mut add = |name: &str, file: &Path, material: &str| -> Result<()> {

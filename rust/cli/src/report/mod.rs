@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use glimt_core::simd::isa_name;
+use glimt_disk::printable;
 use glimt_fit::Net;
 use glimt_image::exr::Exr;
 use glimt_report::study::light::{Environment, Light};
@@ -19,6 +20,7 @@ use serde_json::json;
 
 use crate::bench::report::{cpu, today};
 use crate::fit::{ModelName, parse_net};
+use crate::output::{Format, Overwrite};
 use crate::{Usage, inputs, output};
 use cache::Cache;
 use opponents::{Opponents, Truth};
@@ -34,11 +36,13 @@ use opponents::{Opponents, Truth};
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Measurements, and model libraries fitted to them; directories and globs of them
-    #[arg(required = true, value_name = "FILE")]
+    #[arg(required = true, value_name = "FILE", value_parser = inputs::file())]
     files: Vec<PathBuf>,
     /// Directory to write: index.html, report.csv, report.json, plots and fitted libraries
-    #[arg(short, long, value_name = "DIRECTORY")]
+    #[arg(short, long, value_name = "DIRECTORY", value_parser = inputs::file())]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Models to fit to the measurements, as glimt fit does by default
     #[arg(long, value_enum, value_name = "MODEL", value_delimiter = ',')]
     models: Vec<ModelName>,
@@ -49,7 +53,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", requires = "models")]
     steps: Option<u64>,
     /// Environment maps to light spheres with besides lamps and studio (OpenEXR, latitude and longitude)
-    #[arg(long, value_name = "MAP.exr")]
+    #[arg(long, value_name = "MAP.exr", value_parser = inputs::file())]
     envmap: Vec<PathBuf>,
     /// Pairs of directions of errors in BRDF space; at the default, those that published figures were measured on
     #[arg(long, value_name = "N", default_value_t = Protocol::PAIRS as u32, value_parser = clap::value_parser!(u32).range(1000..=100_000_000))]
@@ -72,6 +76,10 @@ pub struct Arguments {
     seed: u64,
 }
 
+/// The files that are written under names of their own.
+const TEXTS: [(&str, Format); 3] =
+    [("index.html", Format::Page), ("report.csv", Format::Csv), ("report.json", Format::Json)];
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let directory = &arguments.output;
@@ -80,6 +88,15 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     };
     create(directory)?;
     create(&directory.join("plots"))?;
+    // What is kept here is read and written by one report at a time.
+    let _claim = output::claim(directory)?;
+    let mut outputs = fits::libraries(arguments);
+    for (name, format) in TEXTS {
+        let path = directory.join(name);
+        arguments.overwrite.check(&path, format)?;
+        outputs.push(path);
+    }
+    let outputs: Vec<&Path> = outputs.iter().map(PathBuf::as_path).collect();
     let lights = lights(&arguments.envmap)?;
     let settings = Settings {
         seed: arguments.seed,
@@ -88,7 +105,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         directions: arguments.spp as usize,
         lights: lights.iter().map(|light| light.name().to_owned()).collect(),
     };
-    let mut opponents = Opponents::new(&inputs::open(&arguments.files)?)?;
+    let mut opponents = Opponents::new(&inputs::open(&arguments.files, &outputs)?)?;
     for fitted in fits::fit(arguments, &opponents.truths)? {
         opponents.add(fitted)?;
     }
@@ -174,7 +191,7 @@ fn open<'a, 'b>(
 
 fn made() -> Made {
     let quoted = |word: String| if word.contains(' ') { format!("\"{word}\"") } else { word };
-    let words = ["glimt".to_owned()].into_iter().chain(std::env::args().skip(1).map(quoted));
+    let words = ["glimt".to_owned()].into_iter().chain(inputs::words().map(quoted));
     Made {
         command: words.collect::<Vec<_>>().join(" "),
         glimt: env!("CARGO_PKG_VERSION").to_owned(),
@@ -185,17 +202,13 @@ fn made() -> Made {
 }
 
 fn write(directory: &Path, study: &Study) -> Result<()> {
-    let mut files = vec![
-        ("index.html".to_owned(), page::html(study)),
-        ("report.csv".to_owned(), table::csv(study)),
-        ("report.json".to_owned(), table::json(study)),
-    ];
-    files
-        .extend(page::plots(study).iter().map(|plot| (format!("plots/{}.svg", plot.name), plot.file(study))));
-    for (name, text) in &files {
-        let path = directory.join(name);
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    let texts = [page::html(study), table::csv(study), table::json(study)];
+    for ((name, _), text) in TEXTS.iter().zip(&texts) {
+        output::write(&directory.join(name), text.as_bytes())?;
+    }
+    for plot in page::plots(study) {
+        output::write(&directory.join(format!("plots/{}.svg", plot.name)), plot.file(study).as_bytes())?;
     }
     output::print(&table::text(study))?;
-    output::print(&format!("\n{}\n", directory.join("index.html").display()))
+    output::print(&format!("\n{}\n", printable(&directory.join("index.html").display().to_string())))
 }

@@ -73,6 +73,18 @@ impl Folder {
         String::from_utf8(output.stdout).unwrap()
     }
 
+    /// Runs a command that must succeed and warn; its standard output and its warnings.
+    #[allow(dead_code, reason = "not every test binary warns")]
+    pub fn warns(&self, arguments: &[&str]) -> (String, Vec<String>) {
+        let output = self.run(arguments);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{arguments:?}: {stderr}");
+        let warnings: Vec<String> = stderr.lines().map(str::to_owned).collect();
+        assert!(!warnings.is_empty(), "{arguments:?}: no warning");
+        assert!(warnings.iter().all(|line| line.starts_with("warning: ")), "{arguments:?}: {stderr}");
+        (String::from_utf8(output.stdout).unwrap(), warnings)
+    }
+
     /// Runs a command that must fail with this code, say one line, and leave the folder as it is;
     /// the line.
     pub fn fails(&self, code: i32, arguments: &[&str]) -> String {

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::container::{Tensor, Tensors, layer_at};
 use crate::analytic::{Analytic, Lobe, Parameters, Specular};
+use crate::edit::{Fitted, KNOTS, Origin};
 use crate::ggx::Ggx;
 use crate::hybrid::{Form, Hybrid};
 use crate::microfacet::Microfacet;
@@ -39,11 +40,11 @@ pub(crate) trait Codec: Model {
 
 impl Codec for Ggx {
     fn encode(materials: &[&Self]) -> Vec<Tensor> {
-        microfacet_tensors(materials.iter().map(|m| *m.microfacet()).collect())
+        microfacet_tensors("", materials.iter().map(|m| *m.microfacet()).collect())
     }
 
     fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
-        let microfacets = microfacets(file)?;
+        let microfacets = file.microfacets("")?;
         file.each(|i| Ggx::new(microfacets[i]))
     }
 }
@@ -54,9 +55,14 @@ impl Codec for Hybrid {
     }
 
     fn encode(materials: &[&Self]) -> Vec<Tensor> {
-        let mut tensors = microfacet_tensors(materials.iter().map(|m| *m.microfacet()).collect());
+        let mut tensors = microfacet_tensors("", materials.iter().map(|m| *m.microfacet()).collect());
         tensors.extend(latent_tensor(materials));
         tensors.push(bound_tensor(materials.iter().map(|m| m.bound()).collect()));
+        if materials.iter().any(|m| m.edit().is_some()) {
+            let (origins, fitted): (Vec<_>, Vec<_>) = materials.iter().map(|m| m.fitted()).unzip();
+            tensors.extend(microfacet_tensors(FITTED, origins));
+            tensors.extend(fitted_tensors(&fitted));
+        }
         tensors.extend(network_tensors(&materials.iter().map(|m| Hybrid::network(m)).collect::<Vec<_>>()));
         tensors
     }
@@ -65,9 +71,19 @@ impl Codec for Hybrid {
         let form = form.ok_or("its metadata has no \"form\", which a hybrid library needs")?;
         let form: Form = serde::Deserialize::deserialize(form)
             .map_err(|e| format!("its \"glimt\" metadata is broken: the form: {e}"))?;
-        let (microfacets, latents, bounds) = (microfacets(file)?, file.latents()?, file.bounds()?);
+        let (microfacets, latents, bounds) =
+            (file.microfacets("")?, file.latents("latent")?, file.numbers("bound")?);
         let networks = file.networks(form.features(), Activation::HardGelu)?;
-        file.each(|i| Hybrid::new(form, networks[i].clone(), microfacets[i], latents[i].clone(), bounds[i]))
+        let material = |i: usize, p, z| Hybrid::new(form, networks[i].clone(), p, z, bounds[i]);
+        let Some(fitted) = file.fitted()? else {
+            return file.each(|i| material(i, microfacets[i], latents[i].clone()));
+        };
+        let origins = file.microfacets(FITTED)?;
+        file.each(|i| {
+            let (origin, fitted) = (origins[i], fitted[i].clone());
+            let base = material(i, origin, fitted.latent.clone())?;
+            base.edited(origin, fitted, microfacets[i], latents[i].clone())
+        })
     }
 }
 
@@ -77,6 +93,9 @@ impl Codec for Neural {
         let frames = &shared.frames;
         let mut tensors: Vec<Tensor> = latent_tensor(materials).into_iter().collect();
         tensors.push(bound_tensor(materials.iter().map(|m| m.bound()).collect()));
+        if materials.iter().any(|m| m.recoding().is_some()) {
+            tensors.extend(fitted_tensors(&materials.iter().map(|m| m.fitted()).collect::<Vec<_>>()));
+        }
         tensors.extend(layers_tensors(&[&shared.network], false));
         tensors.push(Tensor::shared(
             "frames.weight",
@@ -88,7 +107,7 @@ impl Codec for Neural {
     }
 
     fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
-        let (latents, bounds) = (file.latents()?, file.bounds()?);
+        let (latents, bounds) = (file.latents("latent")?, file.numbers("bound")?);
         let networks = file.networks(neural::FEATURES, Activation::HardGelu)?;
         let frames = layer_at(&[file.take("frames.weight")?, file.take("frames.bias")?], None, 0)?;
         if networks.iter().any(|network| !Arc::ptr_eq(network, &networks[0])) {
@@ -98,7 +117,12 @@ impl Codec for Neural {
         }
         let network = Arc::unwrap_or_clone(networks[0].clone());
         let shared = Arc::new(Shared { network, frames });
-        file.each(|i| Neural::new(shared.clone(), latents[i].clone(), bounds[i]))
+        let fitted = file.fitted()?;
+        file.each(|i| match &fitted {
+            None => Neural::new(shared.clone(), latents[i].clone(), bounds[i]),
+            Some(fitted) => Neural::new(shared.clone(), fitted[i].latent.clone(), bounds[i])?
+                .recoded(fitted[i].clone(), latents[i].clone()),
+        })
     }
 
     fn check_together(&self, other: &Self) -> Result<(), String> {
@@ -170,22 +194,61 @@ impl Codec for Analytic {
     }
 }
 
-fn microfacet_tensors(microfacets: Vec<Microfacet>) -> Vec<Tensor> {
+/// What the names of tensors begin with that hold what edited materials were made of.
+const FITTED: &str = "fitted.";
+
+fn microfacet_tensors(prefix: &str, microfacets: Vec<Microfacet>) -> Vec<Tensor> {
     let width = if microfacets.iter().all(Microfacet::is_isotropic) { 1 } else { 2 };
+    let name = |name| format!("{prefix}{name}");
     vec![
-        Tensor::rows("kd", &microfacets.iter().map(|m| m.kd).collect::<Vec<_>>()),
-        Tensor::rows("eta", &microfacets.iter().map(|m| m.eta).collect::<Vec<_>>()),
-        Tensor::rows("alpha", &microfacets.iter().map(|m| &m.alpha[..width]).collect::<Vec<_>>()),
+        Tensor::rows(&name("kd"), &microfacets.iter().map(|m| m.kd).collect::<Vec<_>>()),
+        Tensor::rows(&name("eta"), &microfacets.iter().map(|m| m.eta).collect::<Vec<_>>()),
+        Tensor::rows(&name("alpha"), &microfacets.iter().map(|m| &m.alpha[..width]).collect::<Vec<_>>()),
     ]
 }
 
-fn microfacets(file: &Tensors) -> Result<Vec<Microfacet>, String> {
-    let (kd, eta) = (file.rows("kd")?, file.rows("eta")?);
-    let alpha = match file.rows::<1>("alpha") {
-        Ok(alpha) => alpha.into_iter().map(|[a]| [a, a]).collect(),
-        Err(_) => file.rows::<2>("alpha")?,
-    };
-    Ok((0..file.materials()).map(|i| Microfacet { kd: kd[i], eta: eta[i], alpha: alpha[i] }).collect())
+/// Codes, albedos, and whether they are those of a mix, of what edited materials were made of.
+fn fitted_tensors(fitted: &[Fitted]) -> Vec<Tensor> {
+    let latents: Vec<&[f32]> = fitted.iter().map(|fitted| &fitted.latent[..]).collect();
+    let ceilings: Vec<&[f32]> = fitted.iter().map(|fitted| fitted.ceiling.as_flattened()).collect();
+    let mixed: Vec<f32> = fitted.iter().map(|f| if f.origin == Origin::Mix { 1.0 } else { 0.0 }).collect();
+    let mut tensors = vec![
+        Tensor::rows("fitted.albedo", &ceilings),
+        Tensor::own("fitted.mixed", vec![mixed.len()], &mixed),
+    ];
+    if !latents[0].is_empty() {
+        tensors.push(Tensor::rows("fitted.latent", &latents));
+    }
+    tensors
+}
+
+impl Tensors<'_> {
+    fn microfacets(&self, prefix: &str) -> Result<Vec<Microfacet>, String> {
+        let name = |name| format!("{prefix}{name}");
+        let (kd, eta) = (self.rows(&name("kd"))?, self.rows(&name("eta"))?);
+        let alpha = match self.rows::<1>(&name("alpha")) {
+            Ok(alpha) => alpha.into_iter().map(|[a]| [a, a]).collect(),
+            Err(_) => self.rows::<2>(&name("alpha"))?,
+        };
+        Ok((0..self.materials()).map(|i| Microfacet { kd: kd[i], eta: eta[i], alpha: alpha[i] }).collect())
+    }
+
+    /// What edited materials were made of; `None` where a file holds none.
+    fn fitted(&self) -> Result<Option<Vec<Fitted>>, String> {
+        const NUMBERS: usize = 3 * KNOTS;
+        if !self.has("fitted.albedo") {
+            return Ok(None);
+        }
+        let albedos = self.rows::<NUMBERS>("fitted.albedo")?;
+        let (latents, mixed) = (self.latents("fitted.latent")?, self.numbers("fitted.mixed")?);
+        let of = |i: usize| {
+            let mut ceiling = [[0.0; 3]; KNOTS];
+            ceiling.as_flattened_mut().copy_from_slice(&albedos[i]);
+            let origin = if mixed[i] > 0.0 { Origin::Mix } else { Origin::Fit };
+            Fitted { latent: latents[i].clone(), ceiling, origin }
+        };
+        Ok(Some((0..self.materials()).map(of).collect()))
+    }
 }
 
 /// None where every material has a network of its own and no code.

@@ -128,11 +128,11 @@ impl Tensors<'_> {
     }
 
     /// Latent codes; none where the file has none, which is so where every material has a network.
-    pub fn latents(&self) -> Result<Vec<Vec<f32>>, String> {
-        if !self.has("latent") {
+    pub fn latents(&self, name: &str) -> Result<Vec<Vec<f32>>, String> {
+        if !self.has(name) {
             return Ok(vec![Vec::new(); self.materials()]);
         }
-        let tensor = self.take("latent")?;
+        let tensor = self.take(name)?;
         match tensor.shape[..] {
             [materials, width] if materials == self.materials() && width > 0 => {
                 Ok(tensor.data.chunks_exact(width).map(<[f32]>::to_vec).collect())
@@ -141,8 +141,9 @@ impl Tensors<'_> {
         }
     }
 
-    pub fn bounds(&self) -> Result<Vec<f32>, String> {
-        let tensor = self.take("bound")?;
+    /// A tensor with one number per material.
+    pub fn numbers(&self, name: &str) -> Result<Vec<f32>, String> {
+        let tensor = self.take(name)?;
         if tensor.shape != [self.materials()] {
             return Err(tensor.unexpected_shape(&format!("[{}]", self.materials())));
         }

@@ -11,6 +11,8 @@
 //! | `bound` | (materials) | hybrid, neural |
 //! | `network.i.weight`, `network.i.bias` | (out, in), (out); with a leading axis of materials where each has a network of its own | hybrid, neural, nbrdf |
 //! | `frames.weight`, `frames.bias` | (18, l), (18) | neural |
+//! | `fitted.kd`, `fitted.eta`, `fitted.alpha` | as `kd`, `eta`, `alpha` | hybrid, where a material is an edit |
+//! | `fitted.latent`, `fitted.albedo`, `fitted.mixed` | (materials, l), (materials, 48), (materials) | hybrid and neural, where a material is an edit or a mix |
 //! | `diffuse`, `specular` | (materials, 3) | factor, but for bivariate |
 //! | `ndf`, `fresnel` | (materials, 3, 90) | factor, but for bivariate |
 //! | `masking` | (materials, 3, 90) | factor, independent-g |
@@ -23,6 +25,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use glimt_disk::write_whole;
 use safetensors::tensor::{SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -39,10 +42,8 @@ mod container;
 mod factor;
 mod names;
 mod spherical;
-mod write;
 
 pub use names::nearest;
-pub use write::write_whole;
 
 /// Version of the file format that this code writes and reads.
 pub const FORMAT_VERSION: u32 = 1;
@@ -108,6 +109,12 @@ struct MaterialHeader {
     origin: Origin,
 }
 
+/// The name of what [`Library::mix`] makes.
+#[must_use]
+pub fn mix_name(a: &str, b: &str, t: f32) -> String {
+    format!("{a} + {t} {b}")
+}
+
 const COLOR_SPACE: &str = "linear sRGB";
 
 /// Materials of one model.
@@ -122,7 +129,7 @@ impl Library {
     /// written, and what messages name.
     ///
     /// # Errors
-    /// [`Error::Format`] if there is no material, two have one name, or models differ.
+    /// [`Error::Format`] if there is no material, a name is empty or that of two, or models differ.
     pub fn new(path: impl Into<PathBuf>, entries: Vec<Entry>) -> Result<Self, Error> {
         let library = Library { path: path.into(), entries };
         library.check().map_err(|reason| Error::Format { path: library.path.clone(), reason })?;
@@ -133,6 +140,9 @@ impl Library {
         let first = &self.entries.first().ok_or("it holds no material")?.material;
         let mut names = HashSet::new();
         for entry in &self.entries {
+            if entry.name.is_empty() {
+                return Err("a material's name is empty".into());
+            }
             if !names.insert(entry.name.as_str()) {
                 return Err(format!("two materials are named \"{}\"", entry.name));
             }
@@ -235,6 +245,17 @@ impl Library {
     /// As [`Library::entry`].
     pub fn material(&self, name: Option<&str>) -> Result<&Material, Error> {
         self.entry(name).map(|entry| &entry.material)
+    }
+
+    /// A material between the two of those names, with a share `t` in [0, 1] of the second.
+    ///
+    /// # Errors
+    /// As [`Library::entry`], and [`Error::Mix`] for a model whose materials cannot be mixed or a share outside
+    /// [0, 1].
+    pub fn mix(&self, a: &str, b: &str, t: f32) -> Result<Material, Error> {
+        let (first, second) = (self.material(Some(a))?, self.material(Some(b))?);
+        let (path, names) = (self.path.clone(), (a.to_owned(), b.to_owned()));
+        first.mix(second, t).map_err(|reason| Error::Mix { path, a: names.0, b: names.1, reason })
     }
 
     /// Bytes of the tensors that one material has of its own, and of those that all share.
@@ -589,6 +610,56 @@ mod tests {
     }
 
     #[test]
+    fn edits_and_mixes_come_back_as_they_were_saved() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("edits.safetensors");
+        let pairs = [Vec3::new(0.48, 0.36, 0.8), Vec3::new(-0.6, 0.0, 0.8), Vec3::new(0.0, 0.96, 0.28)];
+        for entries in libraries().into_iter().filter(|entries| !entries[0].material.latent().is_empty()) {
+            let (a, b) = (&entries[0].material, &entries[1].material);
+            let latent: Vec<f32> = a.latent().iter().map(|z| 0.3 - z).collect();
+            let mut changed = vec![entry("a", a.clone()), entry("code", a.with_latent(latent).unwrap())];
+            if let Some(&p) = a.microfacet() {
+                let alpha = p.alpha.map(|alpha| alpha * 1.5);
+                changed.push(entry("edit", a.with_microfacet(Microfacet { alpha, ..p }).unwrap()));
+            }
+            if let Ok(mix) = a.mix(b, 0.25) {
+                changed.push(entry("mix", mix));
+            }
+            let saved = Library::new(&path, changed).unwrap();
+            saved.save().unwrap();
+            for (saved, read) in saved.entries().iter().zip(Library::open(&path).unwrap().entries()) {
+                for (light, view) in pairs.into_iter().flat_map(|l| pairs.map(|v| (l, v))) {
+                    assert_eq!(
+                        saved.material.eval(light, view),
+                        read.material.eval(light, view),
+                        "{}",
+                        saved.name
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn only_materials_with_something_in_common_mix() {
+        let mut all = libraries();
+        let networks = Library::new("own.safetensors", all.remove(2)).unwrap();
+        let message = networks.mix("a", "b", 0.5).unwrap_err().to_string();
+        assert!(
+            message.contains("own.safetensors") && message.contains("\"a\" and \"b\" have no network"),
+            "{message}"
+        );
+        let shared = Library::new("", all.remove(1)).unwrap();
+        assert!(shared.mix("a", "b", 1.5).unwrap_err().to_string().contains("weight of 1.5"));
+        assert!(shared.mix("a", "b", f32::NAN).is_err());
+        assert!(shared.mix("a", "c", 0.5).unwrap_err().to_string().contains("\"c\""));
+        let ggx = Library::new("", all.remove(0)).unwrap();
+        assert!(ggx.mix("a", "b", 0.5).is_ok());
+        let nbrdf = Library::new("", libraries().remove(4)).unwrap();
+        assert!(nbrdf.mix("a", "b", 0.5).unwrap_err().to_string().contains("a nbrdf material has no"));
+    }
+
+    #[test]
     fn neural_materials_of_two_networks_do_not_make_a_library() {
         let [mut entries, other] = [Kind::Neural; 2].map(library_of);
         let mut stranger = other.into_iter().next().unwrap();
@@ -666,9 +737,6 @@ mod tests {
         let message = Library::new(&path, library_of(Kind::Ggx)).unwrap().save().unwrap_err().to_string();
         assert!(message.contains("cannot write"), "{message}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        // Renaming onto a directory, a device or a pipe must not be tried.
-        let message = write_whole(folder.path(), b"bytes").unwrap_err().to_string();
-        assert!(message.contains("not a regular file"), "{message}");
     }
 
     proptest! {

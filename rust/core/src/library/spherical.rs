@@ -131,7 +131,7 @@ impl Codec for Spherical {
         };
         let kept: Vec<usize> = (0..file.materials()).map(kept).collect();
         let stores = stores(file, store, form, &kept, &clusters, networks.len())?;
-        let bounds = file.bounds()?;
+        let bounds = file.numbers("bound")?;
         file.each(|i| {
             let links = links.as_ref().map(|links| links[i].clone());
             let features = Features { store: stores[i].clone(), links };

@@ -66,8 +66,8 @@ fn condition_of_factor_tables_is_bounded_once_each_number_is_scaled() {
     ] {
         let parameters = Microfacet { kd: [kd; 3], eta: [eta; 3], alpha: [alpha; 2] };
         let brdf = Ggx::new(parameters).expect("parameters are in their ranges");
-        let [values, ..] = grid::resample(&brdf as &dyn Brdf);
-        let channel = Channel { weights: grid::weights(&values), values };
+        let Resampled { values: [values, ..], trust } = grid::resample(&brdf as &dyn Brdf);
+        let channel = Channel { weights: grid::weights(&values, &trust), values };
         let folded = channel.folded();
         let from_d = channel.g_from_d(&folded);
         let own = descent::independent_g(&folded, from_d.state.clone(), from_d.third, FIRST);

@@ -88,17 +88,32 @@ fn coordinates(sample: usize) -> (usize, usize, usize) {
     (sample / AZIMUTH_BINS / DIFF_BINS, sample / AZIMUTH_BINS % DIFF_BINS, sample % AZIMUTH_BINS)
 }
 
-/// f at the centre of every bin per colour channel, φ_d fastest: the mean of both orders of light and view,
-/// which are one sample here. 0 where a sample is left out; where f is not finite or negative, too.
+/// What a sample counts where the material has no data. Every bin of a factor needs something to go by, and where
+/// no sample of it was measured, that is what lies around.
+const HOLE_WEIGHT: f32 = 1e-3;
+
+/// A material on the grid, φ_d fastest.
+pub struct Resampled {
+    /// f at the centre of every bin per colour channel: the mean of both orders of light and view, which are one
+    /// sample here. 0 where a sample is left out; where f is not finite or negative, too.
+    pub values: [Vec<f32>; 3],
+    /// What every sample counts besides its weight: 1, and next to nothing where the material has no data.
+    pub trust: Vec<f32>,
+}
+
+/// A material on the grid.
 #[must_use]
-pub fn resample(brdf: &dyn Brdf) -> [Vec<f32>; 3] {
-    let slabs: Vec<[Vec<f32>; 3]> =
+pub fn resample(brdf: &dyn Brdf) -> Resampled {
+    let slabs: Vec<Resampled> =
         (0..HALF_BINS).into_par_iter().map(|half| resample_slab(brdf, half)).collect();
-    std::array::from_fn(|c| slabs.iter().flat_map(|slab| &slab[c]).copied().collect())
+    Resampled {
+        values: std::array::from_fn(|c| slabs.iter().flat_map(|slab| &slab.values[c]).copied().collect()),
+        trust: slabs.iter().flat_map(|slab| &slab.trust).copied().collect(),
+    }
 }
 
 /// The samples of one θ_h: batches that are long enough for a `brdf` in another process.
-fn resample_slab(brdf: &dyn Brdf, half: usize) -> [Vec<f32>; 3] {
+fn resample_slab(brdf: &dyn Brdf, half: usize) -> Resampled {
     let places: Vec<(usize, usize)> = (0..DIFF_BINS)
         .flat_map(|diff| (0..AZIMUTH_BINS).map(move |azimuth| (diff, azimuth)))
         .filter(|&(diff, azimuth)| is_included(cosines(half, diff, azimuth)))
@@ -109,14 +124,18 @@ fn resample_slab(brdf: &dyn Brdf, half: usize) -> [Vec<f32>; 3] {
     brdf.eval_batch(&light, &view, &mut f[0]);
     brdf.eval_batch(&view, &light, &mut f[1]);
     let mut values = [0; 3].map(|_| vec![0.0; DIFF_BINS * AZIMUTH_BINS]);
+    let mut trust = vec![1.0; DIFF_BINS * AZIMUTH_BINS];
     for (i, (diff, azimuth)) in places.into_iter().enumerate() {
+        if !(brdf.has_data(light[i], view[i]) && brdf.has_data(view[i], light[i])) {
+            trust[diff * AZIMUTH_BINS + azimuth] = HOLE_WEIGHT;
+        }
         let mean = 0.5 * (f[0][i] + f[1][i]);
         for c in 0..3 {
             values[c][diff * AZIMUTH_BINS + azimuth] =
                 if mean[c].is_finite() { mean[c].max(0.0) } else { 0.0 };
         }
     }
-    values
+    Resampled { values, trust }
 }
 
 /// The pair (light, view) at the centres of these bins whose half vector has azimuth 0.
@@ -129,10 +148,11 @@ fn directions(half: usize, diff: usize, azimuth: usize) -> (Vec3, Vec3) {
     ((along + across).as_vec3(), (along - across).as_vec3())
 }
 
-/// w_V w_I w_C of every sample of one channel (eq. 8).
+/// w_V w_I w_C of every sample of one channel (eq. 8), times what it is trusted.
 #[must_use]
-pub fn weights(values: &[f32]) -> Vec<f32> {
-    let mut weights = GEOMETRIC_WEIGHTS.clone();
+pub fn weights(values: &[f32], trust: &[f32]) -> Vec<f32> {
+    let mut weights: Vec<f32> =
+        GEOMETRIC_WEIGHTS.iter().zip(trust).map(|(weight, trust)| weight * trust).collect();
     let median = weighted_median(values, &weights);
     compress(values, LN_2 / median, &mut weights);
     weights
@@ -215,6 +235,32 @@ mod tests {
     }
 
     #[test]
+    fn samples_without_data_count_next_to_nothing() {
+        /// Known above the light's 60°.
+        struct Upper;
+        impl Brdf for Upper {
+            fn eval(&self, _: Vec3, _: Vec3) -> Vec3 {
+                Vec3::ONE
+            }
+
+            fn has_data(&self, light: Vec3, _: Vec3) -> bool {
+                light.z > 0.5
+            }
+        }
+        let Resampled { values: [red, ..], trust } = resample(&Upper);
+        let weights = weights(&red, &trust);
+        let full = super::weights(&red, &vec![1.0; SAMPLES]);
+        for sample in (0..SAMPLES).step_by(331) {
+            let (half, diff, azimuth) = coordinates(sample);
+            let lowest = cosines(half, diff, azimuth).into_iter().fold(1.0, f64::min);
+            if full[sample] > 0.0 && (lowest - 0.5).abs() > 1e-3 {
+                let expected = if lowest > 0.5 { 1.0 } else { HOLE_WEIGHT };
+                assert!((weights[sample] / full[sample] - expected).abs() < 1e-6, "{sample}");
+            }
+        }
+    }
+
+    #[test]
     fn weights_are_the_papers() {
         // θ_h = 0.0028°, θ_d = 0.5°, φ_d = 0.5°: nearly the normal.
         let (sin, cos) = 0.5f64.to_radians().sin_cos();
@@ -223,7 +269,7 @@ mod tests {
         assert!((f64::from(GEOMETRIC_WEIGHTS[0]) / expected - 1.0).abs() < 1e-4);
         assert_eq!(GEOMETRIC_WEIGHTS[SAMPLES - 1], 0.0);
         // All samples at the median: f(1; ln 2) = 1/(2 ln 2).
-        let weights = weights(&vec![0.3; SAMPLES]);
+        let weights = weights(&vec![0.3; SAMPLES], &vec![1.0; SAMPLES]);
         let expected = (0.5 / LN_2).powf(COMPRESSION);
         assert!((weights[0] / GEOMETRIC_WEIGHTS[0] - expected).abs() < 1e-6);
     }

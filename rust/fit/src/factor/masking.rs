@@ -276,7 +276,7 @@ mod tests {
     fn steps_with_sums_formed_once_are_those_with_sums_formed_anew() {
         const STEPS: u32 = 20;
         let values: Vec<f32> = (0..SAMPLES).map(|i| 0.1 + 0.05 * (i as f32 * 1e-3).sin()).collect();
-        let folded = Folded::fine(&values, &grid::weights(&values));
+        let folded = Folded::fine(&values, &grid::weights(&values, &vec![1.0; values.len()]));
         let masking = [0.9; MASKING_KNOTS];
         let run = |anew: bool| {
             let (mut state, mut sums, mut objective) = (State::constant(), Sums::new(), 0.0);

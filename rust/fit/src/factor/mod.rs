@@ -25,6 +25,7 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use descent::{CONSTANT_AZIMUTH, CONSTANT_MASKING, Descent, Patience};
+use grid::Resampled;
 use masking::{Folded, Masking};
 use naive::Whole;
 use product::{STRIDE, State};
@@ -61,9 +62,9 @@ pub struct FactorFit {
 /// Never for a `brdf` that keeps the contract of [`Brdf`]; values that are not finite count as 0.
 #[must_use]
 pub fn fit_factor(brdf: &dyn Brdf, options: &FactorOptions) -> FactorFit {
-    let values = grid::resample(brdf);
-    let channels: Vec<Channel> =
-        values.into_par_iter().map(|values| Channel { weights: grid::weights(&values), values }).collect();
+    let Resampled { values, trust } = grid::resample(brdf);
+    let channel = |values: Vec<f32>| Channel { weights: grid::weights(&values, &trust), values };
+    let channels: Vec<Channel> = values.into_par_iter().map(channel).collect();
     match options.variant {
         Variant::IndependentG => {
             let fits = independent_g(&channels, options.seed);

@@ -242,8 +242,9 @@ impl<'a> Bench<'a> {
     }
 
     fn errors(&self, brdf: &dyn Brdf) -> Errors {
-        let [grazing, rest] = self.pairs.each_ref().map(|pairs| BrdfError::measure(self.truth, brdf, pairs));
-        let all = BrdfError::over_both([grazing, rest], self.pairs.each_ref().map(Protocol::pairs));
+        let errors = self.pairs.each_ref().map(|pairs| BrdfError::measure_counted(self.truth, brdf, pairs));
+        let [grazing, rest] = errors.map(|(error, _)| error);
+        let all = BrdfError::over_both(errors);
         Errors { all, grazing, rest, exchanged: BrdfError::measure(self.truth, brdf, &self.exchanged) }
     }
 

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::SystemTime;
 
-use glimt_core::library::Entry;
+use glimt_core::edit::Room;
+use glimt_core::library::{Entry, mix_name};
 use glimt_core::lobes::Lobes;
 use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_disk::printable;
 use glimt_files::Source;
 
 use crate::packet::eval_packet_address;
@@ -90,6 +92,8 @@ mod ffi {
         inputs: Inputs,
         analytic_input: bool,
         composition: Composition,
+        /// Hybrid: the analytic part beside which the network was fitted.
+        fitted: Microfacet,
         /// Neural: the layer from the latent code to the shading frames.
         frames: Layer,
     }
@@ -98,8 +102,9 @@ mod ffi {
         type Material;
 
         /// The material `name` of the file at `path`; an empty name is the only material of its file.
+        /// Where `mix` is not empty, it is the material between `name` and `mix` with a share `weight` of the latter.
         /// `sampler` is empty for the default one.
-        fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>>;
+        fn open(path: &str, name: &str, mix: &str, weight: f32, sampler: &str) -> Result<Box<Material>>;
         /// The same material with other parameters; what it does not have is ignored.
         fn edited(&self, microfacet: &Microfacet, latent: &[f32]) -> Result<Box<Material>>;
 
@@ -111,6 +116,8 @@ mod ffi {
         /// The analytic part, or zeros where there is none.
         fn microfacet(&self) -> Microfacet;
         fn latent(&self) -> &[f32];
+        /// The shares that an edit leaves of what the network adds, see `edit.rs` of the core.
+        fn room(&self) -> &[f32];
         /// Whether `model` is all that it takes to trace the evaluation elsewhere.
         fn has_traced_form(&self) -> bool;
         /// Names of the models of which that is so, for messages.
@@ -148,17 +155,25 @@ pub fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
 
 /// What `f` returns; a panic becomes an error, for the same reason.
 fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
-    guarded(Err("internal error (a panic, see the standard error stream)".into()), f)
+    let answer = guarded(Err("internal error (a panic, see the standard error stream)".into()), f);
+    // Mitsuba writes it to a terminal.
+    answer.map_err(|message| printable(&message).into_owned())
 }
 
-pub fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>, String> {
+pub fn open(path: &str, name: &str, mix: &str, weight: f32, sampler: &str) -> Result<Box<Material>, String> {
     guarded_result(|| {
         let choice = (!sampler.is_empty()).then(|| sampler.parse::<SamplerChoice>()).transpose()?;
         let library = shared_library(path)?;
         let name = (!name.is_empty()).then_some(name);
         let Entry { name, material, .. } = library.entry(name).map_err(|e| e.to_string())?;
+        let (name, material) = if mix.is_empty() {
+            (name.clone(), material.clone())
+        } else {
+            let mixed = library.mix(name, mix, weight).map_err(|e| e.to_string())?;
+            (mix_name(name, mix, weight), mixed)
+        };
         let material = choice.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
-        Ok(Box::new(Material { name: name.clone(), material, library }))
+        Ok(Box::new(Material { name, material, library }))
     })
 }
 
@@ -204,11 +219,12 @@ impl Material {
     fn edited(&self, microfacet: &ffi::Microfacet, latent: &[f32]) -> Result<Box<Material>, String> {
         guarded_result(|| {
             let mut material = self.material.clone();
-            if material.microfacet().is_some() {
-                let ffi::Microfacet { kd, eta, alpha } = *microfacet;
-                material = material.with_microfacet(microfacet::Microfacet { kd, eta, alpha })?;
+            let ffi::Microfacet { kd, eta, alpha } = *microfacet;
+            let p = microfacet::Microfacet { kd, eta, alpha };
+            if material.microfacet().is_some_and(|current| *current != p) {
+                material = material.with_microfacet(p)?;
             }
-            if !latent.is_empty() {
+            if !latent.is_empty() && latent != material.latent() {
                 material = material.with_latent(latent.to_vec())?;
             }
             Ok(Box::new(Material { name: self.name.clone(), material, library: self.library.clone() }))
@@ -241,6 +257,7 @@ impl Material {
             inputs: ffi::Inputs::Cartesian,
             analytic_input: false,
             composition: ffi::Composition::GatedResidual,
+            fitted: self.microfacet(),
             frames: ffi::Layer { weight: Vec::new(), bias: Vec::new() },
         };
         match &self.material {
@@ -250,6 +267,7 @@ impl Material {
                 inputs: m.form().inputs.into(),
                 analytic_input: m.form().analytic_input,
                 composition: m.form().composition.into(),
+                fitted: m.fitted_microfacet().into(),
                 ..model
             },
             glimt_core::Material::Neural(m) => ffi::Model {
@@ -274,12 +292,20 @@ impl Material {
 
     fn microfacet(&self) -> ffi::Microfacet {
         let zero = microfacet::Microfacet { kd: [0.0; 3], eta: [0.0; 3], alpha: [0.0; 2] };
-        let microfacet::Microfacet { kd, eta, alpha } = *self.material.microfacet().unwrap_or(&zero);
-        ffi::Microfacet { kd, eta, alpha }
+        self.material.microfacet().unwrap_or(&zero).into()
     }
 
     fn latent(&self) -> &[f32] {
         self.material.latent()
+    }
+
+    fn room(&self) -> &[f32] {
+        let room = match &self.material {
+            glimt_core::Material::Hybrid(hybrid) => hybrid.edit().map(|edit| &edit.room),
+            glimt_core::Material::Neural(neural) => neural.recoding().map(|recoded| &recoded.room),
+            _ => None,
+        };
+        room.unwrap_or(&Room::ALL).shares()
     }
 
     fn has_traced_form(&self) -> bool {
@@ -326,6 +352,12 @@ impl Material {
     /// The material as the packets evaluate it.
     pub fn core(&self) -> &glimt_core::Material {
         &self.material
+    }
+}
+
+impl From<&microfacet::Microfacet> for ffi::Microfacet {
+    fn from(&microfacet::Microfacet { kd, eta, alpha }: &microfacet::Microfacet) -> Self {
+        ffi::Microfacet { kd, eta, alpha }
     }
 }
 
