@@ -4,6 +4,7 @@ use glam::Vec3;
 
 use crate::audit::pair;
 use crate::look::Look;
+use crate::rounding::{Judged, beyond, range_of_pdf};
 use crate::run::Pairs;
 use crate::subject::{Answer, Part, Subject};
 use crate::verdict::{Finding, Measure, Test};
@@ -28,6 +29,12 @@ impl Worst {
     #[must_use]
     pub fn none() -> Worst {
         Worst { value: 0.0, place: String::new() }
+    }
+
+    /// The greatest so far.
+    #[must_use]
+    pub fn value(&self) -> f64 {
+        self.value
     }
 
     /// Takes one more.
@@ -124,9 +131,12 @@ pub fn deterministic(subject: &dyn Subject, pairs: &Pairs, seed: u64) -> Answer<
 }
 
 /// [`Test::UnitLength`], [`Test::PdfOfSample`] and [`Test::Weight`] over the samples of a look.
-#[must_use]
-pub fn of_samples(look: &Look) -> Vec<Finding> {
-    let (mut length, mut density, mut weight) = (Worst::none(), Worst::none(), Worst::none());
+///
+/// # Errors
+/// The subject's.
+pub fn of_samples(subject: &dyn Subject, look: &Look) -> Answer<Vec<Finding>> {
+    let (mut length, mut density, mut weight) =
+        (Worst::none(), Judged::none(OF_SAMPLE), Judged::none(OF_SAMPLE));
     let view = look.view.direction();
     // Weights are compared relative to their size, but no finer than they matter among all.
     let mean = look.samples.iter().map(|at| at.draw.weight.element_sum() / 3.0).sum::<f32>();
@@ -137,22 +147,27 @@ pub fn of_samples(look: &Look) -> Vec<Finding> {
     for at in &look.samples {
         let draw = &at.draw;
         let place = || pair(draw.light, view);
-        density.add(relative(draw.pdf, at.pdf, FLOOR), || {
-            format!("sample says {}, pdf() says {} for {}", draw.pdf, at.pdf, place())
-        });
-        let expected = if at.pdf > 0.0 { at.response / draw.pdf } else { Vec3::ZERO };
-        weight.add(relative_rgb(draw.weight, expected, floor), || {
-            format!("weight {}, f·cosθ/pdf {expected} for {}", draw.weight, place())
-        });
+        let range = || range_of_pdf(subject, look.part, draw.light, view);
+        density.add(
+            relative(draw.pdf, at.pdf, FLOOR),
+            || Ok(beyond(draw.pdf, range()?, FLOOR)),
+            || format!("sample says {}, pdf() says {} for {}", draw.pdf, at.pdf, place()),
+        )?;
+        let expected = |pdf: f32| if pdf > 0.0 { at.response / draw.pdf } else { Vec3::ZERO };
+        weight.add(
+            relative_rgb(draw.weight, expected(at.pdf), floor),
+            || Ok(relative_rgb(draw.weight, expected(range()?[1]), floor)),
+            || format!("weight {}, f·cosθ/pdf {} for {}", draw.weight, expected(at.pdf), place()),
+        )?;
     }
     let at = |finding: Finding| finding.at(look.view);
     if look.samples.is_empty() && look.deltas.is_empty() {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let mut findings = vec![at(length.finding(Test::UnitLength, LENGTH))];
     if !look.samples.is_empty() {
-        findings.push(at(density.finding(Test::PdfOfSample, OF_SAMPLE)));
-        findings.push(at(weight.finding(Test::Weight, OF_SAMPLE)));
+        findings.push(at(density.finding(Test::PdfOfSample)));
+        findings.push(at(weight.finding(Test::Weight)));
     }
-    findings
+    Ok(findings)
 }

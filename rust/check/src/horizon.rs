@@ -92,5 +92,6 @@ pub fn vanishing(subject: &dyn Subject, views: &[View], seed: u64) -> Answer<Fin
     }
     let (ratio, view) = worst;
     let note = "response just above the horizon over its mean";
-    Ok(Finding { view, ..Finding::new(Test::HorizonLimit, Measure::error(ratio, LEFT)).note(note) })
+    let finding = Finding::new(Test::HorizonLimit, Measure::error(ratio, LEFT)).note(note);
+    Ok(Finding { view, ..finding.law(&subject.claims()) })
 }

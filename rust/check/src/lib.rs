@@ -25,6 +25,7 @@ pub mod page;
 pub mod picture;
 pub mod random_pairs;
 pub mod report;
+pub mod rounding;
 pub mod run;
 pub mod sampling;
 pub mod stability;

@@ -53,6 +53,7 @@ fn spelling(verdict: Verdict) -> (&'static str, &'static str) {
     match verdict {
         Verdict::Fail => ("fail", "FAIL"),
         Verdict::Warning => ("warning", "warning"),
+        Verdict::OfTheFile => ("warning", "of the file"),
         Verdict::Pass => ("pass", "pass"),
         Verdict::Figure => ("figure-only", "figure"),
         Verdict::LeftOut => ("left-out", "left out"),
@@ -91,7 +92,7 @@ fn matrix(report: &Report) -> String {
             let (class, word) = spelling(verdict);
             let sign = match verdict {
                 Verdict::Pass => "●",
-                Verdict::Warning => "▲",
+                Verdict::Warning | Verdict::OfTheFile => "▲",
                 Verdict::Fail => "✖",
                 Verdict::Figure | Verdict::LeftOut => "·",
             };

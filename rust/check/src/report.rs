@@ -129,6 +129,7 @@ impl Judged {
     fn text(&self) -> String {
         let verdict = match self.verdict {
             Verdict::Fail => "FAIL",
+            Verdict::OfTheFile => "pass, but for what is of the file",
             Verdict::Warning => "pass, with warnings",
             _ => "pass",
         };
@@ -159,9 +160,12 @@ impl Claims {
             (false, false) => "opaque, one-sided",
         };
         let mut text = surface.to_owned();
-        for (is_promised, promise) in
-            [(self.reciprocal, "reciprocal"), (self.isotropic, "isotropic"), (self.conserving, "conserving")]
-        {
+        for (is_promised, promise) in [
+            (self.reciprocal, "reciprocal"),
+            (self.isotropic, "isotropic"),
+            (self.conserving, "conserving"),
+            (self.measured, "a measurement"),
+        ] {
             if is_promised {
                 text = format!("{text}, {promise}");
             }

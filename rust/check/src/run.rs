@@ -108,9 +108,9 @@ pub fn check(subject: &dyn Subject, options: &Options) -> Answer<Checked> {
     let mut sights = Vec::new();
     for (i, &view) in views.iter().enumerate() {
         let look = Look::new(&audit, Part::Whole, view, i as u64, options)?;
-        findings.extend(of_look(&look));
+        findings.extend(of_look(&audit, &look)?);
         let albedo = energy::albedo(&look);
-        findings.push(energy::conservation(&look, &albedo, claims.conserving));
+        findings.push(energy::conservation(&look, &albedo, claims.conserving).law(&claims));
         sights.push(Sight {
             view,
             albedo,
@@ -135,13 +135,13 @@ pub fn check(subject: &dyn Subject, options: &Options) -> Answer<Checked> {
 }
 
 /// The tests that every part and view takes.
-fn of_look(look: &Look) -> Vec<Finding> {
-    let mut findings = consistency::of_samples(look);
+fn of_look(subject: &dyn Subject, look: &Look) -> Answer<Vec<Finding>> {
+    let mut findings = consistency::of_samples(subject, look)?;
     findings.push(sampling::histogram(look));
     findings.push(sampling::integral(look));
     findings.push(energy::unbiased(look));
     findings.push(energy::coverage(look));
-    findings
+    Ok(findings)
 }
 
 /// Components against the whole, and each by itself from a few views.
@@ -163,7 +163,7 @@ fn of_components(
         for (i, component) in parts.iter().enumerate().filter(|(_, component)| !component.delta) {
             let stream = (1000 * (i + 1) + v) as u64;
             let look = Look::new(subject, Part::Component(i), view, stream, options)?;
-            let mut of_part = of_look(&look);
+            let mut of_part = of_look(subject, &look)?;
             for finding in &mut of_part {
                 finding.component = Some(component.name.clone());
             }

@@ -1,7 +1,7 @@
 //! What can be checked: anything that answers in batches.
 
 use glam::Vec3;
-use glimt_core::{Material, SampleBrdf};
+use glimt_core::{Kind, Material, SampleBrdf};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -24,17 +24,30 @@ pub struct Claims {
     pub transmits: bool,
     /// It also answers for views below the horizon.
     pub two_sided: bool,
+    /// It is a measurement as it is: what its numbers say against physics is a finding about the file.
+    pub measured: bool,
 }
 
 impl Claims {
     /// An opaque surface, seen from above, that promises nothing.
-    pub const NONE: Claims =
-        Claims { reciprocal: false, isotropic: false, conserving: false, transmits: false, two_sided: false };
+    pub const NONE: Claims = Claims {
+        reciprocal: false,
+        isotropic: false,
+        conserving: false,
+        transmits: false,
+        two_sided: false,
+        measured: false,
+    };
 
     /// What a model says of its material.
     #[must_use]
     pub fn of(material: &Material) -> Claims {
-        Claims { reciprocal: material.is_reciprocal(), isotropic: material.is_isotropic(), ..Claims::NONE }
+        Claims {
+            reciprocal: material.is_reciprocal(),
+            isotropic: material.is_isotropic(),
+            measured: material.kind() == Kind::Tabulated,
+            ..Claims::NONE
+        }
     }
 }
 

@@ -4,6 +4,7 @@ use glam::{Quat, Vec3};
 
 use crate::audit::pair;
 use crate::consistency::{FLOOR, Worst, relative_rgb};
+use crate::rounding::{Judged, beyond_rgb, range_of_response};
 use crate::run::Pairs;
 use crate::subject::{Answer, Part, Subject};
 use crate::verdict::{Finding, Measure, Test};
@@ -63,9 +64,13 @@ pub fn isotropy(subject: &dyn Subject, pairs: &Pairs) -> Answer<Finding> {
     };
     let before = subject.response(Part::Whole, &light, &view)?;
     let after = subject.response(Part::Whole, &turned(&light), &turned(&view))?;
-    let mut worst = Worst::none();
+    let mut worst = Judged::none(LIMIT);
     for (i, (&a, &b)) in before.iter().zip(&after).enumerate() {
-        worst.add(relative_rgb(a, b, FLOOR), || format!("{a}, turned {b} for {}", pair(light[i], view[i])));
+        worst.add(
+            relative_rgb(a, b, FLOOR),
+            || Ok(beyond_rgb(b, range_of_response(subject, Part::Whole, light[i], view[i])?, FLOOR)),
+            || format!("{a}, turned {b} for {}", pair(light[i], view[i])),
+        )?;
     }
-    Ok(worst.finding(Test::Isotropy, LIMIT))
+    Ok(worst.finding(Test::Isotropy))
 }

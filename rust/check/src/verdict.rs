@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::statistics::threshold;
+use crate::subject::Claims;
 use crate::views::View;
 
 /// The questions, in the order of the tables.
@@ -150,6 +151,8 @@ pub enum Severity {
     Failure,
     /// Worth knowing; correct subjects may do it.
     Warning,
+    /// A property of the measurement, which is answered as it is.
+    OfTheFile,
 }
 
 /// The meaning of one or many findings; a greater one prevails.
@@ -164,6 +167,8 @@ pub enum Verdict {
     Pass,
     /// Worth knowing.
     Warning,
+    /// Against physics, and what the measurement says.
+    OfTheFile,
     /// Broken.
     Fail,
 }
@@ -177,6 +182,7 @@ impl Verdict {
             Verdict::Figure => "figure",
             Verdict::Pass => "ok",
             Verdict::Warning => "warning",
+            Verdict::OfTheFile => "of file",
             Verdict::Fail => "FAIL",
         }
     }
@@ -237,6 +243,13 @@ impl Finding {
         Finding { severity: Severity::Warning, ..self }
     }
 
+    /// The same about a law of physics: a measurement as it is owes it nothing.
+    #[must_use]
+    pub fn law(self, claims: &Claims) -> Finding {
+        let severity = if claims.measured { Severity::OfTheFile } else { self.severity };
+        Finding { severity, ..self }
+    }
+
     /// What it means where a p-value below `threshold` is a violation.
     #[must_use]
     pub fn verdict(&self, threshold: f64) -> Verdict {
@@ -249,6 +262,7 @@ impl Finding {
         match (is_violated, self.severity) {
             (false, _) => Verdict::Pass,
             (true, Severity::Warning) => Verdict::Warning,
+            (true, Severity::OfTheFile) => Verdict::OfTheFile,
             (true, Severity::Failure) => Verdict::Fail,
         }
     }

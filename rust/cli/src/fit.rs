@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use clap::builder::NonEmptyStringValueParser;
-use glimt_core::Library;
 use glimt_core::factor::Variant;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Origin};
+use glimt_core::{Kind, Library};
 use glimt_files::{Samples, Source};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
@@ -469,7 +469,7 @@ fn finished(checkpoint: &Path, inputs: &[Input], options: &FactorOptions) -> Res
         let asked = Origin { seed: Some(options.seed), ..input.origin.clone() };
         entry.name == input.name
             && Origin { metrics: BTreeMap::new(), ..entry.origin.clone() } == asked
-            && library.kind() == "factor"
+            && library.kind() == Kind::Factor
     };
     let entries = library.entries();
     if entries.len() > inputs.len() || !entries.iter().zip(inputs).all(|(entry, input)| is_of(entry, input)) {

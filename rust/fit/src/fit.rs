@@ -9,7 +9,7 @@ use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::{Composition, Hybrid};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::{Activation, Network};
+use glimt_core::network::Network;
 use glimt_core::neural::{Neural, Shared};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

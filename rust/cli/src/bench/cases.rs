@@ -1,10 +1,11 @@
 //! What is measured: a material of each model and size.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
-use clap::ValueEnum;
-use glimt_core::Material;
+use glimt_core::analytic::{Analytic, Parameters, Specular};
+use glimt_core::factor::{self, DIFF_BINS, Factor, Factors, HALF_BINS, Product};
 use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
 use glimt_core::healpix::Healpix;
@@ -17,19 +18,11 @@ use glimt_core::spherical::pixelation::Pixelation;
 use glimt_core::spherical::store::Store;
 use glimt_core::spherical::tables::{self, Grids, Interpolation, Layout};
 use glimt_core::spherical::{Features, Spherical};
+use glimt_core::{Kind, Material};
 use glimt_fit::Net;
+use glimt_measured::{Measured, Merl, merl};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
-
-/// The models that have a case without a file.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Kind {
-    Ggx,
-    Hybrid,
-    Neural,
-    Nbrdf,
-    Spherical,
-}
 
 /// A material and its size.
 pub struct Case {
@@ -67,38 +60,69 @@ const NEURAL_LATENT: usize = 12;
 /// Largest output that counts; of no influence on the time.
 const BOUND: f32 = 2.0;
 
-impl Kind {
-    /// One case for each of `nets`, or only one where the model's size is fixed.
-    pub fn cases(self, nets: &[Net]) -> Vec<Result<Case>> {
-        let microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
-        match self {
-            Kind::Ggx => vec![case(Ggx::new(microfacet))],
-            Kind::Nbrdf => {
-                let network = network(&[6, 21, 21, 3], 6, Activation::Relu);
-                vec![case(network.and_then(|network| Nbrdf::new(Arc::new(network))))]
-            }
-            Kind::Hybrid => nets
-                .iter()
-                .map(|&net| {
-                    let made = hybrid(net, microfacet);
-                    made.map(|m| Case { training: Some(net), ..Case::new(m.into()) }).map_err(|e| anyhow!(e))
-                })
-                .collect(),
-            Kind::Neural => nets.iter().map(|&net| case(neural(net))).collect(),
-            Kind::Spherical => nets.iter().map(|&net| case(spherical(net))).collect(),
+/// The cases of a model: one for each of `nets`, or only one where the model's size is fixed.
+pub fn cases(kind: Kind, nets: &[Net]) -> Vec<Result<Case>> {
+    match kind {
+        Kind::Ggx => vec![case(Ggx::new(MICROFACET))],
+        Kind::Hybrid => nets
+            .iter()
+            .map(|&net| {
+                let made = hybrid(net);
+                made.map(|m| Case { training: Some(net), ..Case::new(m.into()) }).map_err(|e| anyhow!(e))
+            })
+            .collect(),
+        Kind::Neural => nets.iter().map(|&net| case(neural(net))).collect(),
+        Kind::Nbrdf => {
+            let network = network(&[6, 21, 21, 3], 6, Activation::Relu);
+            vec![case(network.and_then(|network| Nbrdf::new(Arc::new(network))))]
         }
+        Kind::Factor => vec![case(factor())],
+        Kind::Tabulated => vec![tabulated()],
+        Kind::Analytic => vec![case(analytic())],
+        Kind::Spherical => nets.iter().map(|&net| case(spherical(net))).collect(),
     }
 }
+
+/// An ordinary plastic.
+const MICROFACET: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
 
 fn case<M: Into<Material>>(made: Result<M, String>) -> Result<Case> {
     made.map(|material| Case::new(material.into())).map_err(|e| anyhow!(e))
 }
 
-fn hybrid(net: Net, microfacet: Microfacet) -> Result<Hybrid, String> {
+fn hybrid(net: Net) -> Result<Hybrid, String> {
     let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
     let sizes = sizes(form.features() + HYBRID_LATENT, net, form.composition.outputs());
     let network = Arc::new(network(&sizes, form.features(), Activation::HardGelu)?);
-    Hybrid::new(form, network, microfacet, vec![0.1; HYBRID_LATENT], BOUND)
+    Hybrid::new(form, network, MICROFACET, vec![0.1; HYBRID_LATENT], BOUND)
+}
+
+/// The variant and interpolation that `glimt fit` chooses.
+fn factor() -> Result<Factor, String> {
+    let bin = |i: usize, bins: usize| (i as f32 + 0.5) / bins as f32;
+    let ndf = std::array::from_fn(|i| (-20.0 * bin(i, HALF_BINS).powi(4)).exp());
+    let fresnel = std::array::from_fn(|i| 0.04 + 0.96 * bin(i, DIFF_BINS).powi(5));
+    let product = Product { diffuse: [0.1; 3], specular: [0.5; 3], ndf: [ndf; 3], fresnel: [fresnel; 3] };
+    Factor::new(Factors::GFromD(product), factor::Interpolation::default())
+}
+
+/// The published model of the most numbers, near those of gold-metallic-paint.
+fn analytic() -> Result<Analytic, String> {
+    let specular = Specular::ShiftedGamma {
+        scale: [0.2; 3],
+        alpha: [0.1; 3],
+        power: [0.8; 3],
+        fresnel: [[0.0; 3], [-1.0; 3]],
+        norm: [6.0; 3],
+        masking: [[2.7; 3], [0.5; 3], [24.0; 3], [-0.3; 3]],
+    };
+    Analytic::new(Parameters { diffuse: [0.3, 0.2, 0.1], specular })
+}
+
+/// The microfacet model in MERL's bins.
+fn tabulated() -> Result<Case> {
+    let bytes = merl::to_bytes(&Ggx::new(MICROFACET).map_err(|e| anyhow!(e))?);
+    Ok(Case::new(Measured::Merl(Merl::from_bytes(Path::new("ggx.binary"), &bytes)?).into_material()))
 }
 
 /// The tables that `glimt fit` chooses for isotropic materials.

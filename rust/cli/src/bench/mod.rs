@@ -11,7 +11,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
-use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use glimt_core::Kind;
 use glimt_core::simd::multiply_adds;
 use glimt_files::Source;
 use glimt_fit::Net;
@@ -19,7 +20,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::fit::parse_net;
 use crate::{inputs, output};
-use cases::{Case, Kind};
+use cases::Case;
 use report::{Measurement, Report};
 use training::Training;
 use ways::{PAIRS, Way, Workspace};
@@ -37,7 +38,7 @@ pub struct Arguments {
     #[arg(value_name = "FILE", conflicts_with_all = ["model", "net"], value_parser = inputs::file())]
     files: Vec<PathBuf>,
     /// Models to measure [default: all]
-    #[arg(long, value_enum, value_name = "MODEL")]
+    #[arg(long, value_name = "MODEL", value_parser = kind_parser())]
     model: Vec<Kind>,
     /// Sizes of the networks [default: 16x3, 32x3 and 64x3]
     #[arg(long, value_name = "WxN", value_parser = parse_net)]
@@ -56,6 +57,10 @@ pub struct Arguments {
 /// The sizes that are measured if none are asked for.
 const NETS: [Net; 3] =
     [Net { width: 16, layers: 3 }, Net { width: 32, layers: 3 }, Net { width: 64, layers: 3 }];
+
+fn kind_parser() -> impl TypedValueParser<Value = Kind> {
+    PossibleValuesParser::new(Kind::ALL.map(Kind::name)).try_map(|name| name.parse::<Kind>())
+}
 
 /// Runs the command; `threads` is what --threads says.
 pub fn run(arguments: &Arguments, threads: Option<u16>) -> Result<()> {
@@ -86,8 +91,8 @@ fn cases(arguments: &Arguments) -> Result<Vec<Case>> {
         return arguments.files.iter().map(from_file).collect();
     }
     let nets = if arguments.net.is_empty() { &NETS[..] } else { &arguments.net };
-    let kinds = if arguments.model.is_empty() { Kind::value_variants() } else { &arguments.model };
-    kinds.iter().flat_map(|kind| kind.cases(nets)).collect()
+    let kinds = if arguments.model.is_empty() { &Kind::ALL[..] } else { &arguments.model };
+    kinds.iter().flat_map(|&kind| cases::cases(kind, nets)).collect()
 }
 
 /// The first material of a file.
