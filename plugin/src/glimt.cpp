@@ -124,13 +124,15 @@ public:
 
         fs::path file = file_resolver()->resolve(props.get<std::string_view>("filename"));
         m_file = file.filename().string();
-        const std::string mix(props.get<std::string_view>("mix", ""));
+        const std::string name(props.get<std::string_view>("material", "")),
+            mix(props.get<std::string_view>("mix", "")), sampler(props.get<std::string_view>("sampler", ""));
         if (mix.empty() == props.has_property("mix_weight"))
             Throw("glimt: \"mix\" names a second material and \"mix_weight\" its share; give both or neither.");
-        const float weight = (float) props.get<ScalarFloat>("mix_weight", 0.f);
         rust::Box<Material> material = checked([&] {
-            return glimt::core::open(file.string(), std::string(props.get<std::string_view>("material", "")),
-                                     mix, weight, std::string(props.get<std::string_view>("sampler", "")));
+            if (mix.empty())
+                return glimt::core::open(file.string(), name, sampler);
+            const float weight = (float) props.get<ScalarFloat>("mix_weight");
+            return glimt::core::mixed(file.string(), name, mix, weight, sampler);
         });
         m_name = std::string(material->name());
         m_model = glimt::TracedModel<Float>(*material);

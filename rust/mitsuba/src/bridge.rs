@@ -102,9 +102,10 @@ mod ffi {
         type Material;
 
         /// The material `name` of the file at `path`; an empty name is the only material of its file.
-        /// Where `mix` is not empty, it is the material between `name` and `mix` with a share `weight` of the latter.
         /// `sampler` is empty for the default one.
-        fn open(path: &str, name: &str, mix: &str, weight: f32, sampler: &str) -> Result<Box<Material>>;
+        fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>>;
+        /// The material between those named `a` and `b`, with a share `weight` of `b`; otherwise as `open`.
+        fn mixed(path: &str, a: &str, b: &str, weight: f32, sampler: &str) -> Result<Box<Material>>;
         /// The same material with other parameters; what it does not have is ignored.
         fn edited(&self, microfacet: &Microfacet, latent: &[f32]) -> Result<Box<Material>>;
 
@@ -160,21 +161,29 @@ fn guarded_result<T>(f: impl FnOnce() -> Result<T, String>) -> Result<T, String>
     answer.map_err(|message| printable(&message).into_owned())
 }
 
-pub fn open(path: &str, name: &str, mix: &str, weight: f32, sampler: &str) -> Result<Box<Material>, String> {
+pub fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>, String> {
     guarded_result(|| {
-        let choice = (!sampler.is_empty()).then(|| sampler.parse::<SamplerChoice>()).transpose()?;
         let library = shared_library(path)?;
         let name = (!name.is_empty()).then_some(name);
         let Entry { name, material, .. } = library.entry(name).map_err(|e| e.to_string())?;
-        let (name, material) = if mix.is_empty() {
-            (name.clone(), material.clone())
-        } else {
-            let mixed = library.mix(name, mix, weight).map_err(|e| e.to_string())?;
-            (mix_name(name, mix, weight), mixed)
-        };
-        let material = choice.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
+        let (name, material) = (name.clone(), with_sampler(material, sampler)?);
         Ok(Box::new(Material { name, material, library }))
     })
+}
+
+pub fn mixed(path: &str, a: &str, b: &str, weight: f32, sampler: &str) -> Result<Box<Material>, String> {
+    guarded_result(|| {
+        let library = shared_library(path)?;
+        let mix = library.mix(a, b, weight).map_err(|e| e.to_string())?;
+        let (name, material) = (mix_name(a, b, weight), with_sampler(&mix, sampler)?);
+        Ok(Box::new(Material { name, material, library }))
+    })
+}
+
+/// `material` with the sampler of that name; with its own if the name is empty.
+fn with_sampler(material: &glimt_core::Material, sampler: &str) -> Result<glimt_core::Material, String> {
+    let choice = (!sampler.is_empty()).then(|| sampler.parse::<SamplerChoice>()).transpose()?;
+    Ok(choice.map_or_else(|| material.clone(), |choice| material.with_sampler(choice)))
 }
 
 /// The library at `path`, which is opened once for all BSDFs of a scene: that their materials share one

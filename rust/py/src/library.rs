@@ -59,7 +59,7 @@ impl Library {
 
     /// A material between the two of those names, with a share `weight` in [0, 1] of the second.
     fn mix(&self, py: Python, a: &str, b: &str, weight: f32) -> PyResult<Material> {
-        py.detach(|| Material::mixed(&self.source, [a, b], weight, self.sampler)).map_err(error)
+        py.detach(|| Material::mixed(&self.source, &self.file, [a, b], weight, self.sampler)).map_err(error)
     }
 
     fn __getitem__(&self, py: Python, name: &str) -> PyResult<Material> {

@@ -57,13 +57,15 @@ impl Material {
     /// Between the materials of two names, with a share `weight` of the second.
     pub fn mixed(
         source: &Source,
+        file: &Arc<SourceFile>,
         [a, b]: [&str; 2],
         weight: f32,
         sampler: Option<SamplerChoice>,
     ) -> Result<Material, glimt_files::Error> {
         let material = source.library()?.mix(a, b, weight)?;
         let material = sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
-        Ok(Material { name: glimt_core::library::mix_name(a, b, weight), kind: source.kind(), material })
+        let name = glimt_core::library::mix_name(a, b, weight);
+        Ok(Material { name, kind: source.kind(), material, file: file.clone() })
     }
 
     /// The same material after a change.
