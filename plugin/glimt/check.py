@@ -237,6 +237,7 @@ def parse(arguments):
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--html", metavar="PAGE.html", help="write a page with pictures")
+    parser.add_argument("--force", action="store_true", help="replace an existing file that is no page of glimt")
     parser.add_argument(
         "--quick", action="store_true", help="ask JIT variants as little as scalar ones: seconds, less sharp"
     )
@@ -259,6 +260,22 @@ def subjects(options, mi):
                 yield MitsubaSubject(bsdf, name, options.promise, options.quick)
 
 
+def may_write(page, targets, force):
+    """Raises an error if the page cannot be written, or something would be lost by it."""
+    _native.probe(page)
+    path = Path(page)
+    if not path.is_file():
+        return
+    for target in targets:
+        scene = Path(target.partition("#")[0])
+        if not target.startswith("{") and scene.is_file() and scene.samefile(path):
+            raise ValueError(f"{target} is read, and must not be overwritten by the page {page}")
+    with path.open("rb") as file:
+        start = file.read(1024)
+    if start and not force and not (start.startswith(b"<!doctype html>") and b"glimt" in start):
+        raise ValueError(f"{page} is there and is no page of glimt; name another, or replace it with --force")
+
+
 def main(arguments=None):
     parser, options = parse(arguments)
     try:
@@ -268,13 +285,13 @@ def main(arguments=None):
     try:
         named = list(subjects(options, mi))
         if options.html:
-            Path(options.html).touch()
+            may_write(options.html, options.targets, options.force)
     except (ImportError, OSError, RuntimeError, SyntaxError, TypeError, ValueError) as error:
         parser.error(" ".join(str(error).split()))
     report = _native.check(named, samples=options.samples, seed=options.seed)
     print(report.json() if options.json else report.text(), end="\n" if options.json else "")
     if options.html:
-        Path(options.html).write_text(report.html(), encoding="utf-8")
+        _native.write_whole(options.html, report.html())
     return 0 if report.passed else 1
 
 

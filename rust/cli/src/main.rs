@@ -114,13 +114,13 @@ fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// The error and its causes. Errors of the libraries end with their cause already.
+/// The error and its causes. Errors of the libraries say their cause already.
 fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for cause in error.chain().map(ToString::to_string) {
         if line.is_empty() {
             line = cause;
-        } else if !line.ends_with(&cause) {
+        } else if !line.contains(&cause) {
             line = format!("{line}: {cause}");
         }
     }

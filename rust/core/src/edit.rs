@@ -135,23 +135,18 @@ impl Room {
         share
     }
 
-    /// The room for the residual of `whole`, of which `gated` has none, where `ceiling` are the albedos that the
-    /// material may have in any case, and `analytic` is its analytic part.
+    /// The room for the residual of `whole`, of which `gated` has none, below the largest albedo of `allowed` and 1.
     #[must_use]
-    pub fn of(
-        ceiling: &Albedos,
-        views: &Views,
-        analytic: &impl Brdf,
-        gated: &impl Brdf,
-        whole: &impl Brdf,
-    ) -> Room {
+    pub fn of(views: &Views, allowed: &Allowed, gated: &dyn Brdf, whole: &dyn Brdf) -> Room {
         let mut shares = [1.0; KNOTS];
-        for (share, (ceiling, sights)) in shares.iter_mut().zip(ceiling.iter().zip(&views.of_knots)) {
+        for (knot, (share, sights)) in shares.iter_mut().zip(&views.of_knots).enumerate() {
             for sight in sights {
-                let [analytic, gated, whole] =
-                    [sight.albedo(analytic), sight.albedo(gated), sight.albedo(whole)];
+                // All by the same directions, so that an edit of nothing leaves room for all.
+                let [before, analytic] = [sight.albedo(allowed.before), sight.albedo(allowed.analytic)];
+                let [gated, whole] = [sight.albedo(gated), sight.albedo(whole)];
                 for c in 0..3 {
-                    let most = ceiling[c].max(analytic[c]).max(1.0);
+                    let ends = allowed.ends.map_or(0.0, |ends| ends[knot][c]);
+                    let most = ends.max(before[c]).max(analytic[c]).max(1.0);
                     if whole[c] > most {
                         *share = share.min(((most - gated[c]) / (whole[c] - gated[c])).max(0.0));
                     }
@@ -162,13 +157,38 @@ impl Room {
     }
 }
 
+/// Whose albedos an edited material may reach.
+pub struct Allowed<'a> {
+    /// The material that was fitted; [`Black`] for a mix.
+    pub before: &'a dyn Brdf,
+    /// The edited analytic part.
+    pub analytic: &'a dyn Brdf,
+    /// The larger of the two materials of a mix.
+    pub ends: Option<&'a Albedos>,
+}
+
 /// Where the numbers come from that an edit starts from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Origin {
     /// A fit: with its own numbers a material is what was fitted, and needs no room.
     Fit,
-    /// Two other materials: the network never saw these numbers.
-    Mix,
+    /// Two other materials, with the greater albedo of the two at each knot: the network never saw these numbers.
+    Mix(Box<Albedos>),
+}
+
+impl Origin {
+    /// Of a mix of two materials with these albedos.
+    #[must_use]
+    pub fn mix(a: &Albedos, b: &Albedos) -> Origin {
+        let greater = |knot: usize| std::array::from_fn(|c| a[knot][c].max(b[knot][c]));
+        Origin::Mix(Box::new(std::array::from_fn(greater)))
+    }
+
+    /// The albedos of a mix's materials.
+    #[must_use]
+    pub fn ends(&self) -> Option<&Albedos> {
+        if let Origin::Mix(ends) = self { Some(ends) } else { None }
+    }
 }
 
 /// What an edited material remembers of the one that it was made of.
@@ -176,23 +196,8 @@ pub enum Origin {
 pub struct Fitted {
     /// z₀.
     pub latent: Vec<f32>,
-    /// Albedos that an edit may reach: those it had, or of a mix the greater of the two.
-    pub ceiling: Albedos,
-    /// Where the numbers come from.
+    /// Where p₀ and z₀ come from.
     pub origin: Origin,
-}
-
-impl Fitted {
-    /// Between two materials, with a share `t` of the second.
-    #[must_use]
-    pub fn mix(&self, other: &Fitted, t: f32) -> Fitted {
-        let greater = |knot: usize, c: usize| self.ceiling[knot][c].max(other.ceiling[knot][c]);
-        Fitted {
-            latent: mix_latents(&self.latent, &other.latent, t),
-            ceiling: std::array::from_fn(|knot| std::array::from_fn(|c| greater(knot, c))),
-            origin: Origin::Mix,
-        }
-    }
 }
 
 /// z between two materials, linear.
@@ -214,7 +219,7 @@ pub struct Edit {
 }
 
 /// A surface that reflects nothing.
-pub(crate) struct Black;
+pub struct Black;
 
 impl Brdf for Black {
     fn eval(&self, _: Vec3, _: Vec3) -> Vec3 {
@@ -259,7 +264,7 @@ impl Views {
 
     /// Albedos of `brdf`.
     #[must_use]
-    pub fn albedos(&self, brdf: &impl Brdf) -> Albedos {
+    pub fn albedos(&self, brdf: &dyn Brdf) -> Albedos {
         let mut albedos = [[0.0; 3]; KNOTS];
         for (albedo, sights) in albedos.iter_mut().zip(&self.of_knots) {
             for sight in sights {
@@ -298,7 +303,7 @@ impl Sight {
     }
 
     /// ∫ f cosθ.
-    fn albedo(&self, brdf: &impl Brdf) -> [f32; 3] {
+    fn albedo(&self, brdf: &dyn Brdf) -> [f32; 3] {
         let mut f = vec![Vec3::ZERO; self.light.len()];
         brdf.eval_batch(&self.light, &self.view, &mut f);
         let sum =
@@ -408,23 +413,26 @@ mod tests {
         for is_isotropic in [true, false] {
             let albedos = Views::new(is_isotropic, &[[0.1; 2], [0.4, 0.2]]).albedos(&Lambert(0.7));
             for albedo in albedos.as_flattened() {
-                assert!((albedo - 0.7).abs() < 2e-3, "{albedo}");
+                assert!((albedo - 0.7).abs() < 5e-3, "{albedo}");
             }
         }
     }
 
     #[test]
-    fn room_is_what_is_left_below_the_largest_of_before_analytic_and_one() {
+    fn room_is_what_is_left_below_the_largest_of_before_analytic_ends_and_one() {
         let views = Views::new(true, &[[0.3; 2]]);
-        let room = |ceiling: f32, analytic: f32, gated: f32, whole: f32| {
-            let ceiling = [[ceiling; 3]; KNOTS];
-            Room::of(&ceiling, &views, &Lambert(analytic), &Lambert(gated), &Lambert(whole)).shares
+        let room = |before: f32, analytic: f32, ends: f32, gated: f32, whole: f32| {
+            let (before, analytic, ends) = (Lambert(before), Lambert(analytic), [[ends; 3]; KNOTS]);
+            let allowed = Allowed { before: &before, analytic: &analytic, ends: Some(&ends) };
+            Room::of(&views, &allowed, &Lambert(gated), &Lambert(whole)).shares
         };
-        let near = |shares: [f32; KNOTS], share: f32| shares.iter().all(|s| (s - share).abs() < 5e-3);
-        assert_eq!(room(0.8, 0.5, 0.4, 0.95), Room::ALL.shares);
-        assert!(near(room(0.8, 0.5, 0.5, 1.5), 0.5));
-        assert!(near(room(1.2, 0.5, 0.5, 1.5), 0.7));
-        assert!(near(room(0.8, 1.25, 0.5, 1.5), 0.75));
-        assert!(near(room(0.8, 1.25, 1.25, 1.5), 0.0));
+        let near = |shares: [f32; KNOTS], share: f32| shares.iter().all(|s| (s - share).abs() < 0.01);
+        assert_eq!(room(0.8, 0.5, 0.0, 0.4, 0.95), Room::ALL.shares);
+        assert_eq!(room(1.5, 0.5, 0.0, 0.4, 1.5), Room::ALL.shares);
+        assert!(near(room(0.8, 0.5, 0.0, 0.5, 1.5), 0.5));
+        assert!(near(room(1.2, 0.5, 0.0, 0.5, 1.5), 0.7));
+        assert!(near(room(0.8, 1.25, 0.0, 0.5, 1.5), 0.75));
+        assert!(near(room(0.8, 0.5, 1.25, 0.5, 1.5), 0.75));
+        assert!(near(room(0.8, 1.25, 0.0, 1.25, 1.5), 0.0));
     }
 }

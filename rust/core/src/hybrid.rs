@@ -15,7 +15,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::{Brdf, is_lit};
-use crate::edit::{self, Edit, Fitted, Origin, Room, Turn, Views};
+use crate::edit::{self, Albedos, Allowed, Black, Edit, Fitted, Origin, Room, Turn, Views};
 use crate::features::{Inputs, MAX_FEATURES};
 use crate::kernel::{Kernel, splat3};
 use crate::lobes::Lobes;
@@ -242,10 +242,8 @@ impl Hybrid {
         if fitted.origin == Origin::Fit && microfacet == origin && latent == fitted.latent {
             return new(origin, latent);
         }
-        origin.validate()?;
-        check_latent(&fitted.latent)?;
         let mut edited = new(microfacet, latent)?;
-        edited.make_room(origin, fitted);
+        edited.make_room(origin, fitted)?;
         Ok(edited.sampled())
     }
 
@@ -259,36 +257,54 @@ impl Hybrid {
             return Err("have no network in common, and what differs between them is no code".into());
         }
         let ((p, fitted), (other_p, other_fitted)) = (self.fitted(), other.fitted());
+        let mixed = Fitted {
+            latent: edit::mix_latents(&fitted.latent, &other_fitted.latent, t),
+            origin: Origin::mix(&self.ceiling(), &other.ceiling()),
+        };
         let bound = self.bound + (other.bound - self.bound) * t;
         Hybrid { bound, ..self.clone() }.edited(
             p.mix(&other_p, t),
-            fitted.mix(&other_fitted, t),
+            mixed,
             self.microfacet.mix(&other.microfacet, t),
             edit::mix_latents(&self.latent, &other.latent, t),
         )
     }
 
-    /// Gives the residual the share that `fitted` leaves it.
-    fn make_room(&mut self, origin: Microfacet, fitted: Fitted) {
+    /// Albedos that a mix of this material may reach.
+    fn ceiling(&self) -> Albedos {
+        match self.edit.as_ref().and_then(|edit| edit.fitted.origin.ends()) {
+            Some(ends) => *ends,
+            None => Views::new(self.is_isotropic(), &[self.microfacet.alpha]).albedos(self),
+        }
+    }
+
+    /// Gives the residual the share that there is room for.
+    fn make_room(&mut self, origin: Microfacet, fitted: Fitted) -> Result<(), String> {
         let turn = Turn::new(origin.alpha, self.microfacet.alpha);
         let with = |room| {
             let edit = Edit { fitted: fitted.clone(), microfacet: origin, turn, room };
             Hybrid { edit: Some(Box::new(edit)), ..self.clone() }
         };
         let views = Views::new(self.is_isotropic(), &[origin.alpha, self.microfacet.alpha]);
-        let (gated, whole) = (with(Room::NONE), with(Room::ALL));
-        let room = Room::of(&fitted.ceiling, &views, &Analytic(&self.microfacet), &gated, &whole);
+        let unedited =
+            Hybrid::new(self.form, self.network.clone(), origin, fitted.latent.clone(), self.bound)?;
+        let allowed = Allowed {
+            before: if fitted.origin == Origin::Fit { &unedited } else { &Black },
+            analytic: &Analytic(&self.microfacet),
+            ends: fitted.origin.ends(),
+        };
+        let room = Room::of(&views, &allowed, &with(Room::NONE), &with(Room::ALL));
         *self = with(room);
+        Ok(())
     }
 
     /// p₀ and the rest of what this material is an edit of; its own if it is none.
     #[must_use]
     pub fn fitted(&self) -> (Microfacet, Fitted) {
-        if let Some(edit) = &self.edit {
-            return (edit.microfacet, edit.fitted.clone());
+        match &self.edit {
+            Some(edit) => (edit.microfacet, edit.fitted.clone()),
+            None => (self.microfacet, Fitted { latent: self.latent.clone(), origin: Origin::Fit }),
         }
-        let ceiling = Views::new(self.is_isotropic(), &[self.microfacet.alpha]).albedos(self);
-        (self.microfacet, Fitted { latent: self.latent.clone(), ceiling, origin: Origin::Fit })
     }
 
     /// None if k_d, η, α and z are those of the fit.

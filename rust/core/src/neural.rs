@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 
-use crate::edit::{Black, Fitted, Origin, Room, Views, mix_latents};
+use crate::edit::{Albedos, Allowed, Black, Fitted, Origin, Room, Views, mix_latents};
 use crate::hybrid::check_bound;
 use crate::kernel::Kernel;
 use crate::lobes::{Lobes, PROXY_ALPHAS};
@@ -117,14 +117,17 @@ impl Neural {
     /// # Errors
     /// See [`Neural::new`].
     pub fn recoded(&self, fitted: Fitted, latent: Vec<f32>) -> Result<Self, String> {
-        let is_fitted = fitted.origin == Origin::Fit && latent == fitted.latent;
-        check_latent(&fitted.latent)?;
-        let mut neural = Neural::new(Arc::clone(&self.shared), latent, self.bound)?;
-        if is_fitted {
-            return Ok(neural);
+        let unedited = Neural::new(Arc::clone(&self.shared), fitted.latent.clone(), self.bound)?;
+        if fitted.origin == Origin::Fit && latent == fitted.latent {
+            return Ok(unedited);
         }
-        let views = Views::new(false, &VIEW_ALPHAS);
-        let room = Room::of(&fitted.ceiling, &views, &Black, &Black, &neural);
+        let mut neural = Neural::new(Arc::clone(&self.shared), latent, self.bound)?;
+        let allowed = Allowed {
+            before: if fitted.origin == Origin::Fit { &unedited } else { &Black },
+            analytic: &Black,
+            ends: fitted.origin.ends(),
+        };
+        let room = Room::of(&Views::new(false, &VIEW_ALPHAS), &allowed, &Black, &neural);
         neural.recoded = Some(Box::new(Recoded { fitted, room }));
         Ok(neural.sampled())
     }
@@ -138,19 +141,30 @@ impl Neural {
         if !Arc::ptr_eq(&self.shared, &other.shared) {
             return Err("have no network in common, and what differs between them is no code".into());
         }
+        let (fitted, other_fitted) = (self.fitted(), other.fitted());
+        let mixed = Fitted {
+            latent: mix_latents(&fitted.latent, &other_fitted.latent, t),
+            origin: Origin::mix(&self.ceiling(), &other.ceiling()),
+        };
         let bound = self.bound + (other.bound - self.bound) * t;
-        let latent = mix_latents(&self.latent, &other.latent, t);
-        Neural { bound, ..self.clone() }.recoded(self.fitted().mix(&other.fitted(), t), latent)
+        Neural { bound, ..self.clone() }.recoded(mixed, mix_latents(&self.latent, &other.latent, t))
+    }
+
+    /// Albedos that a mix of this material may reach.
+    fn ceiling(&self) -> Albedos {
+        match self.recoded.as_ref().and_then(|recoded| recoded.fitted.origin.ends()) {
+            Some(ends) => *ends,
+            None => Views::new(false, &VIEW_ALPHAS).albedos(self),
+        }
     }
 
     /// What this material is made of; itself if its code is that of the fit.
     #[must_use]
     pub fn fitted(&self) -> Fitted {
-        if let Some(recoded) = &self.recoded {
-            return recoded.fitted.clone();
+        match &self.recoded {
+            Some(recoded) => recoded.fitted.clone(),
+            None => Fitted { latent: self.latent.clone(), origin: Origin::Fit },
         }
-        let ceiling = Views::new(false, &VIEW_ALPHAS).albedos(self);
-        Fitted { latent: self.latent.clone(), ceiling, origin: Origin::Fit }
     }
 
     /// None if z is that of the fit.

@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use same_file::Handle;
 
-/// A file that this process will replace by a changed one.
+/// A file that this process will replace by a changed one, or a directory in which it works.
 ///
 /// The lock is on the file itself and not on one beside it. A file that was replaced while this process waited
 /// is another file, which is locked in its turn. The operating system takes the lock away with the process,
@@ -43,10 +43,10 @@ impl Stamp {
 }
 
 impl Claim {
-    /// Claims the file at `path`; `wait` is called before this process waits for another one.
+    /// Claims what is at `path`; `wait` is called before this process waits for another one.
     ///
     /// # Errors
-    /// The file cannot be opened for reading and writing.
+    /// A file cannot be opened for reading and writing, a directory not for reading.
     pub fn take(path: &Path, wait: impl FnOnce()) -> io::Result<Claim> {
         let mut wait = Some(wait);
         let wait = &mut || wait.take().map_or((), |wait| wait());
@@ -56,7 +56,7 @@ impl Claim {
     fn take_by(path: &Path, lock: &mut dyn FnMut(&File) -> Exclusion) -> io::Result<Claim> {
         loop {
             // Some network file systems lock only what is open for writing.
-            let file = File::options().read(true).write(true).open(path)?;
+            let file = File::options().read(true).write(!path.is_dir()).open(path)?;
             let held = Handle::from_file(file)?;
             let exclusion = lock(held.as_file());
             let stamp = Stamp::of(&held.as_file().metadata()?);
@@ -142,5 +142,7 @@ mod tests {
         }
         fs::remove_file(&path).unwrap();
         assert!(Claim::take(&path, || ()).is_err());
+        let directory = Claim::take(folder.path(), || ()).unwrap();
+        assert!(matches!(directory.exclusion(), Exclusion::Locked));
     }
 }

@@ -124,6 +124,8 @@ fn old(path: &Path) -> io::Result<Option<Metadata>> {
 /// A file that is removed unless it gets a name. Its own begins with a dot and ends like that of no format, so
 /// that no search for inputs finds what a crash has left.
 fn temporary(directory: &Path) -> io::Result<NamedTempFile> {
+    // The error of a directory that is not there needs no name of a temporary file.
+    fs::metadata(directory)?;
     let mut builder = tempfile::Builder::new();
     builder.prefix(".glimt-").suffix(".part");
     #[cfg(unix)]

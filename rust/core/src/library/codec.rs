@@ -207,15 +207,16 @@ fn microfacet_tensors(prefix: &str, microfacets: Vec<Microfacet>) -> Vec<Tensor>
     ]
 }
 
-/// Codes, albedos, and whether they are those of a mix, of what edited materials were made of.
+/// Codes of what edited materials were made of, whether they are mixes, and the albedos of what was mixed.
 fn fitted_tensors(fitted: &[Fitted]) -> Vec<Tensor> {
+    let none = [[0.0; 3]; KNOTS];
     let latents: Vec<&[f32]> = fitted.iter().map(|fitted| &fitted.latent[..]).collect();
-    let ceilings: Vec<&[f32]> = fitted.iter().map(|fitted| fitted.ceiling.as_flattened()).collect();
-    let mixed: Vec<f32> = fitted.iter().map(|f| if f.origin == Origin::Mix { 1.0 } else { 0.0 }).collect();
-    let mut tensors = vec![
-        Tensor::rows("fitted.albedo", &ceilings),
-        Tensor::own("fitted.mixed", vec![mixed.len()], &mixed),
-    ];
+    let ends: Vec<&[f32]> =
+        fitted.iter().map(|fitted| fitted.origin.ends().unwrap_or(&none).as_flattened()).collect();
+    let mixed: Vec<f32> =
+        fitted.iter().map(|fitted| if fitted.origin == Origin::Fit { 0.0 } else { 1.0 }).collect();
+    let mut tensors =
+        vec![Tensor::rows("fitted.albedo", &ends), Tensor::own("fitted.mixed", vec![mixed.len()], &mixed)];
     if !latents[0].is_empty() {
         tensors.push(Tensor::rows("fitted.latent", &latents));
     }
@@ -242,10 +243,10 @@ impl Tensors<'_> {
         let albedos = self.rows::<NUMBERS>("fitted.albedo")?;
         let (latents, mixed) = (self.latents("fitted.latent")?, self.numbers("fitted.mixed")?);
         let of = |i: usize| {
-            let mut ceiling = [[0.0; 3]; KNOTS];
-            ceiling.as_flattened_mut().copy_from_slice(&albedos[i]);
-            let origin = if mixed[i] > 0.0 { Origin::Mix } else { Origin::Fit };
-            Fitted { latent: latents[i].clone(), ceiling, origin }
+            let mut ends = [[0.0; 3]; KNOTS];
+            ends.as_flattened_mut().copy_from_slice(&albedos[i]);
+            let origin = if mixed[i] > 0.0 { Origin::Mix(Box::new(ends)) } else { Origin::Fit };
+            Fitted { latent: latents[i].clone(), origin }
         };
         Ok(Some((0..self.materials()).map(of).collect()))
     }
