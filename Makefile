@@ -17,6 +17,10 @@ CARGO_TARGET_DIR ?= $(CURDIR)/target
 override CARGO_TARGET_DIR := $(abspath $(CARGO_TARGET_DIR))
 export CARGO_TARGET_DIR
 
+# Published measurements and networks, which are not part of the project. Tests that read them are ignored; where
+# they are, `make test` runs them by their name.
+REFERENCE_DATA := $(wildcard ../shared/data)
+
 SOURCES := Cargo.toml Cargo.lock CMakeLists.txt pyproject.toml \
            $(shell find plugin rust -name '*.rs' -o -name '*.toml' -o -name '*.h' -o -name '*.cpp' \
                    -o -name '*.py' -o -name '*.map')
@@ -44,10 +48,13 @@ test: install
 	ruff check .
 	ruff format --check .
 	cargo test --workspace --locked
+ifneq ($(REFERENCE_DATA),)
+	cargo test --workspace --locked -- --ignored reference_data
+endif
 	python -m pytest
 
 test-long: install
-	cargo test --workspace --locked --release -- --ignored
+	cargo test --workspace --locked --release -- --ignored $(if $(REFERENCE_DATA),,--skip reference_data)
 	python -m pytest -m long
 
 fuzz:

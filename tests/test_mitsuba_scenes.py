@@ -13,10 +13,8 @@ from mitsuba_common import mi
 SCENES = ROOT / "scenes"
 LIBRARY = SCENES / "models" / "rgl.safetensors"
 MEASUREMENT = ROOT.parent / "shared" / "data" / "rgl" / "chm_orange_rgb.bsdf"
-needs_library = pytest.mark.skipif(not LIBRARY.exists(), reason=f"{LIBRARY} not found")
 
 
-@needs_library
 @pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb", "llvm_ad_spectral"])
 def test_gallery_renders(variant):
     mi.set_variant(variant)
@@ -28,7 +26,6 @@ def test_gallery_renders(variant):
     assert np.std(image[..., 0] - image[..., 2]) > 0.02
 
 
-@needs_library
 @pytest.mark.skipif(not MEASUREMENT.exists(), reason=f"{MEASUREMENT} not found")
 def test_fit_looks_like_its_measurement(tmp_path):
     """The right half of the comparison, once with the measurement and once with the fit in its place."""
@@ -55,7 +52,6 @@ def test_fit_looks_like_its_measurement(tmp_path):
     assert np.allclose(measured.mean(axis=(0, 1)), fit.mean(axis=(0, 1)), rtol=0.03)
 
 
-@needs_library
 def test_command_of_mitsuba_renders_without_python(tmp_path):
     """The native program finds the plugin by the directory that it is given."""
     import glimt

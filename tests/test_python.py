@@ -145,6 +145,17 @@ def test_models_without_an_analytic_part(libraries):
             material.edit(kd=0.5)
 
 
+def test_the_libraries_of_the_tests_are_of_every_model(libraries, tmp_path):
+    unknown = tmp_path / "unknown.safetensors"
+    content = libraries["ggx"].read_bytes()
+    assert content.count(rb"\"kind\": \"ggx\"") == 1
+    unknown.write_bytes(content.replace(rb"\"kind\": \"ggx\"", rb"\"kind\": \"xyz\""))
+    with pytest.raises(glimt.Error, match='its model is "xyz", expected ') as refused:
+        glimt.load(unknown)
+    models = str(refused.value).split("expected ")[1].replace(" or ", ", ").split(", ")
+    assert {spec["kind"] for spec in LIBRARIES.values()} == set(models)
+
+
 def test_errors_name_the_file_and_what_is_near(libraries, tmp_path):
     with pytest.raises(glimt.Error, match=r"none\.safetensors"):
         glimt.load(tmp_path / "none.safetensors")

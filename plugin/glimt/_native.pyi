@@ -30,7 +30,8 @@ class Library:
         """Names of the materials in the file's order."""
     @property
     def kind(self) -> str:
-        """Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "merl", "rgl" or "utia"."""
+        """Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "factor", "analytic", "spherical",
+        "merl", "rgl" or "utia"."""
     @property
     def path(self) -> PathLike[str]:
         """The file that it was read from."""

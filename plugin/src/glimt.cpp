@@ -63,7 +63,7 @@ Compact fit of a measured material (:monosp:`glimt`)
 
  * - alpha, or alpha_x and alpha_y
    - |float|
-   - Edit: GGX roughness of the analytic part, in :math:`(0, 1]`; along the tangent and the bitangent
+   - Edit: GGX roughness of the analytic part, in :math:`[0.0001, 1]`; along the tangent and the bitangent
      for an anisotropic material. (Default: as fitted)
    - |exposed|, |differentiable|
 
@@ -74,8 +74,11 @@ Compact fit of a measured material (:monosp:`glimt`)
 
 This plugin evaluates a reflectance that was fitted to a measured material: the analytic model
 ``ggx``, a hybrid of the same with a small neural network (``hybrid``, De Oliveira et al., *A Hybrid
-Neural-Microfacet BRDF Model*), a network alone (``neural``), or one of the networks of Sztrajman et
-al. 2021 (``nbrdf``). The last two have no analytic part, so that the edits are an error there.
+Neural-Microfacet BRDF Model*), a network alone (``neural``), one of the networks of Sztrajman et
+al. 2021 (``nbrdf``), features in tables on hemispheres and a network (``spherical``, Dou et al.), the tables of
+Bagher et al. 2016 (``factor``), or a published analytic model (``analytic``: Cook and Torrance, Ward, Ashikhmin and
+Shirley, Löw, Bagher). It also evaluates measurements as they are (``tabulated``). Only ``ggx`` and ``hybrid`` have
+an analytic part; the edits are an error for the others.
 
 The material is one-sided; the ``twosided`` plugin makes it two-sided. It has one component, of type
 *glossy reflection* as with ``measured``: a fitted measurement has no honest split into diffuse and
@@ -91,7 +94,7 @@ Polarized variants depolarize.
 and by a call from inside the compiled kernel in LLVM variants. Where a direction or a parameter has
 gradients enabled, and in CUDA variants, Dr.Jit traces the whole model instead, which takes seconds to
 compile where there is a network. Samples and their densities carry no derivative with respect to
-the parameters (detached sampling). Measurements, tables and ``spherical`` have no traced form: they and the
+the parameters (detached sampling). Of the models ``ggx``, ``hybrid``, ``neural`` and ``nbrdf`` can be traced. The others and the
 samplers ``table`` and of RGL files run in scalar and LLVM variants only, and carry no derivative with respect to
 directions either, of which a warning is logged once.
 

@@ -28,7 +28,7 @@ typedef enum glimt_status {
    */
   GLIMT_OK = 0,
   /**
-   * An argument is NULL that must not be, or a name is not UTF-8.
+   * An argument is NULL that must not be, a name is not UTF-8, or a size is 0.
    */
   GLIMT_ERROR_ARGUMENT = 1,
   /**
@@ -180,8 +180,9 @@ const char *glimt_version(void);
 const char *glimt_last_error(void);
 
 /**
- * Reads a model library (.safetensors), a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or the
- * weights of a neural BRDF (.h5, .npz). The last two are libraries of one material.
+ * Reads a model library (.safetensors), a measurement (RGL .bsdf, MERL .binary, UTIA .bin), the weights
+ * of a neural BRDF (.h5, .npz, .npy) or published analytic fits (.fit). A measurement and the weights are
+ * libraries of one material.
  *
  * \param path     File name, UTF-8.
  * \param library  Receives the library, to be closed with glimt_library_close(); NULL on error.
@@ -280,7 +281,8 @@ enum glimt_status glimt_eval(const struct glimt_material *material,
 /**
  * Density in 1/sr (solid angle of light) with which glimt_sample() chooses light for view.
  *
- * Directions as for glimt_eval(); 0 where f is 0 for them. Allocates no memory.
+ * Directions as for glimt_eval(). Below the horizon on either side, and where a direction holds a NaN,
+ * it is 0; elsewhere it may be positive where f is 0. Allocates no memory.
  *
  * \param pdf  Receives one number.
  *
@@ -309,7 +311,10 @@ enum glimt_status glimt_sample(const struct glimt_material *material,
                                struct glimt_light_sample *sample);
 
 /**
- * glimt_eval() for n pairs. Much faster than n calls, and the very same numbers.
+ * glimt_eval() for n pairs. Much faster than n calls.
+ *
+ * f differs from that of glimt_eval() by rounding only: by no more than 16 ULP of f's largest channel, as one pair's
+ * sums are added in another order. A pair has the same bits in every batch, wherever it stands there.
  *
  * Runs in the calling thread. Allocates no memory.
  *

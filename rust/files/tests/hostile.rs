@@ -1,5 +1,6 @@
 //! Every reader on the corpus of the fuzz targets, and on mutations of it: what `fuzz/run` does at length.
 
+use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -9,7 +10,7 @@ use glimt_core::hybrid::{Form, Hybrid};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::network::{Activation, Layer, Network};
-use glimt_core::{Library, Material};
+use glimt_core::{Kind, Library, Material};
 
 #[path = "../../../fuzz/src/readers.rs"]
 mod readers;
@@ -31,6 +32,16 @@ fn every_corpus_is_read_within_its_memory() {
         let accepted = corpus(name).iter().filter(|(_, bytes)| read(bytes)).count();
         assert!(accepted > 0, "no file of the corpus {name} is accepted");
     }
+}
+
+#[test]
+fn the_corpus_of_libraries_has_every_model_that_a_library_can_hold() {
+    let opened =
+        corpus("library").into_iter().filter_map(|(path, bytes)| Library::from_bytes(path, &bytes).ok());
+    let found: HashSet<Kind> = opened.map(|library| library.kind()).collect();
+    let missing: Vec<Kind> =
+        Kind::ALL.into_iter().filter(|kind| *kind != Kind::Tabulated && !found.contains(kind)).collect();
+    assert!(missing.is_empty(), "fuzz/corpus/library has no {missing:?}");
 }
 
 /// Reads every truncation, and `rounds` times as many random changes of one to four bytes as a file has.
