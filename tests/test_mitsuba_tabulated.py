@@ -161,15 +161,16 @@ def test_a_spectral_export_is_what_the_plugin_makes_of_the_colours(
     for i in range(n):
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.wi = mi.Vector3f(*(float(x) for x in view[:, i]))
-        si.wavelengths = mi.Color4f(*(380 + 440 * ((i / n + np.arange(4) / 4) % 1)))
+        wavelengths = 380 + 440 * ((i / n + np.arange(4) / 4) % 1)
+        si.wavelengths = mi.Spectrum(*(float(nm) for nm in wavelengths))
         wo = mi.Vector3f(*(float(x) for x in light[:, i]))
         found, expected = (
             np.array(bsdf.eval(mi.BSDFContext(), si, wo)).ravel() for bsdf in (measured, plugin)
         )
         errors += np.abs(found - expected).sum()
         total += expected.sum()
-    # Nodes of the spectra that lie within 0.002 of a line are left out of the file.
-    assert total > 0 and errors < 5e-3 * total, errors / total
+    # 4.4e-5 was measured: nodes of the spectra that lie on a line are left out of the file.
+    assert total > 0 and errors < 4.8e-5 * total, errors / total
 
 
 def test_derivatives_of_directions_are_detached(tables):

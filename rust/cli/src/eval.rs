@@ -22,8 +22,7 @@ pub struct Arguments {
     /// Name of the material; not needed where the file holds one
     #[arg(long, value_name = "NAME", value_parser = NonEmptyStringValueParser::new())]
     material: Option<String>,
-    /// NumPy array (n, 6) of float32 or float64: light x y z, view x y z; - for the
-    /// standard input
+    /// NumPy array (n, 6) of numbers: light x y z, view x y z; - for the standard input
     #[arg(long, value_name = "PAIRS.npy")]
     pairs: PathBuf,
     /// NumPy array (n, 3) of float32 to write: f, linear RGB; - for the standard output

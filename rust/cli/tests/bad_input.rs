@@ -111,10 +111,10 @@ fn pairs_of_wrong_shape_type_or_length() {
     folder.array("pairs.npy", &[2, 6], &[0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0, 0.0, 0.0, 1.0]);
     let line = folder.fails(1, &eval("cloth.bin", &[]));
     assert!(line.contains("pairs.npy: the light of row 1 has length 2"), "{line}");
-    let header = b"\x93NUMPY\x01\x00\x3b\x00{'descr': '<i8', 'fortran_order': False, 'shape': (1, 6), }";
-    std::fs::write(folder.path("pairs.npy"), [&header[..], &[0; 48]].concat()).unwrap();
+    let header = b"\x93NUMPY\x01\x00\x3c\x00{'descr': '<c16', 'fortran_order': False, 'shape': (1, 6), }";
+    std::fs::write(folder.path("pairs.npy"), [&header[..], &[0; 96]].concat()).unwrap();
     let line = folder.fails(1, &eval("cloth.bin", &[]));
-    assert!(line.contains("pairs.npy is not a NumPy array") && line.contains("<i8"), "{line}");
+    assert!(line.contains("pairs.npy is not a NumPy array") && line.contains("<c16"), "{line}");
     std::fs::write(folder.path("pairs.npy"), "text").unwrap();
     assert!(folder.fails(1, &eval("cloth.bin", &[])).contains("pairs.npy is not a NumPy array"));
 }

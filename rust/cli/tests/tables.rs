@@ -50,7 +50,8 @@ fn every_variant_of_factor_is_fitted() {
 fn the_same_seed_gives_the_same_tables() {
     let folder = Folder::new();
     let fit = |out: &str, threads: &str| {
-        folder.succeeds(&[
+        // The measurement is anisotropic, and tables are not.
+        folder.warns(&[
             "fit",
             "--model",
             "factor",

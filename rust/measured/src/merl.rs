@@ -379,6 +379,7 @@ mod tests {
     use std::sync::LazyLock;
 
     const PATH: &str = "paint.binary";
+    const TAU: f32 = std::f32::consts::TAU;
 
     /// A diffuse base under GGX of roughness 0.3 with a constant Fresnel term: reciprocal.
     struct Glossy;
@@ -585,8 +586,8 @@ mod tests {
                 };
                 // Half of the directions within 2.3° of the horizon.
                 let z = |u: f32| if k % 2 == 0 { 0.04 * u + 1e-5 } else { u.max(1e-5) };
-                let light = at(z(unit(0.856_674_883)), 6.28 * unit(0.733_891_856));
-                let view = at(z(unit(0.628_706_721)), 6.28 * unit(0.538_597_253));
+                let light = at(z(unit(0.856_674_883)), TAU * unit(0.733_891_856));
+                let view = at(z(unit(0.628_706_721)), TAU * unit(0.538_597_253));
                 let error = (merl.eval(light, view) / LAMBERT - 1.0).abs().max_element();
                 assert!(error < 1e-3, "{light} {view}: {error}");
             }
