@@ -96,3 +96,27 @@ def test_bad_usage_has_its_own_exit_code(capsys, target, complaint):
     with pytest.raises(SystemExit) as exit:
         check.main([target, "--variant", "scalar_rgb"])
     assert exit.value.code == 2 and complaint in capsys.readouterr().err
+
+
+def test_a_page_replaces_neither_what_is_read_nor_what_is_no_page(capsys, tmp_path):
+    scene = tmp_path / "scene.xml"
+    scene.write_text("<bsdf version='3.0.0' type='diffuse'/>")
+    link = tmp_path / "link.html"
+    link.symlink_to(scene)
+    stranger = tmp_path / "stranger.html"
+    stranger.write_text("<!doctype html><title>somebody's</title>")
+    before = sorted(tmp_path.iterdir())
+    for page, complaint in [
+        (scene, "must not be overwritten"),
+        (link, "must not be overwritten"),
+        (stranger, "--force"),
+        (tmp_path / "none/page.html", "cannot write"),
+        (tmp_path, "cannot write"),
+    ]:
+        with pytest.raises(SystemExit) as exit:
+            check.main([str(scene), "--variant", "scalar_rgb", "--html", str(page)])
+        assert exit.value.code == 2 and complaint in capsys.readouterr().err
+    assert scene.read_text().startswith("<bsdf") and stranger.read_text().endswith("</title>")
+    code, _ = run(capsys, str(scene), "--html", str(stranger), "--force", variant="scalar_rgb")
+    assert code == 0 and stranger.read_text(encoding="utf-8").startswith("<!doctype html><html")
+    assert sorted(tmp_path.iterdir()) == before

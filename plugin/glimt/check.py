@@ -237,7 +237,9 @@ def parse(arguments):
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--html", metavar="PAGE.html", help="write a page with pictures")
-    parser.add_argument("--force", action="store_true", help="replace an existing file that is no page of glimt")
+    parser.add_argument(
+        "--force", action="store_true", help="replace an existing file that is no page of glimt"
+    )
     parser.add_argument(
         "--quick", action="store_true", help="ask JIT variants as little as scalar ones: seconds, less sharp"
     )

@@ -72,8 +72,7 @@ fn the_same_seed_gives_the_same_tables() {
 fn options_that_mean_nothing_for_tables_are_refused() {
     let folder = Folder::new();
     let fit = |more: &[&'static str]| [&["fit", "-o", "new.safetensors", "cloth.bin"], more].concat();
-    for option in [&["--net", "32x2"][..], &["--rate", "0.1"], &["--resume"], &["--paper"], &["--reciprocal"]]
-    {
+    for option in [&["--net", "32x2"][..], &["--rate", "0.1"], &["--paper"], &["--reciprocal"]] {
         let line = folder.fails(2, &[&fit(&["--model", "factor"])[..], option].concat());
         assert!(line.contains(&format!("{} means nothing for --model factor", option[0])), "{line}");
     }
