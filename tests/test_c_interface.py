@@ -95,30 +95,27 @@ def configure(project, build, *options):
 PROJECT_IN_C = """\
     cmake_minimum_required(VERSION 3.24)
     project(user LANGUAGES C)
-    set(flags "${{CMAKE_BUILD_TYPE}} ${{CMAKE_C_FLAGS}} ${{BUILD_SHARED_LIBS}}")
-    file(WRITE ${{PROJECT_BINARY_DIR}}/glimt/CMakeLists.txt [[
-      {bring}
-    ]])
-    add_subdirectory(${{PROJECT_BINARY_DIR}}/glimt)
-    file(WRITE ${{PROJECT_BINARY_DIR}}/programs/CMakeLists.txt [[
-      add_executable(user {evaluate})
-      target_link_libraries(user PRIVATE glimt::glimt)
-      add_executable(shared_user {evaluate})
-      target_link_libraries(shared_user PRIVATE glimt::shared)
-    ]])
-    add_subdirectory(${{PROJECT_BINARY_DIR}}/programs)
+    set(flags "${CMAKE_BUILD_TYPE} ${CMAKE_C_FLAGS} ${BUILD_SHARED_LIBS}")
+    add_subdirectory(glimt)
+    add_subdirectory(programs)
     get_property(languages GLOBAL PROPERTY ENABLED_LANGUAGES)
-    if(NOT languages STREQUAL "C")
-      message(FATAL_ERROR "a project in C got the languages ${{languages}}")
+    if("CXX" IN_LIST languages)
+      message(FATAL_ERROR "a project in C got the languages ${languages}")
     endif()
-    if(NOT flags STREQUAL "${{CMAKE_BUILD_TYPE}} ${{CMAKE_C_FLAGS}} ${{BUILD_SHARED_LIBS}}")
-      message(FATAL_ERROR "flags were ${{flags}} before glimt was added")
+    if(NOT flags STREQUAL "${CMAKE_BUILD_TYPE} ${CMAKE_C_FLAGS} ${BUILD_SHARED_LIBS}")
+      message(FATAL_ERROR "flags were ${flags} before glimt was added")
     endif()
     get_property(cached DIRECTORY PROPERTY CACHE_VARIABLES)
     list(FILTER cached INCLUDE REGEX "^(EXAMPLES|TESTS|WERROR|CMAKE_CXX_COMPILER|CMAKE_CXX_FLAGS)$")
     if(cached)
-      message(FATAL_ERROR "glimt left ${{cached}} in the cache")
+      message(FATAL_ERROR "glimt left ${cached} in the cache")
     endif()
+    """
+PROGRAMS_IN_C = f"""\
+    add_executable(user {EVALUATE})
+    target_link_libraries(user PRIVATE glimt::glimt)
+    add_executable(shared_user {EVALUATE})
+    target_link_libraries(shared_user PRIVATE glimt::shared)
     """
 
 
@@ -140,9 +137,9 @@ def test_project_in_c_takes_the_sources(cpp_build, target_dir, library, bring, g
         pytest.skip("ninja is not installed")
     project, build = tmp_path / "project", tmp_path / "build"
     project.mkdir()
-    (project / "CMakeLists.txt").write_text(
-        textwrap.dedent(PROJECT_IN_C).format(bring=bring, evaluate=EVALUATE)
-    )
+    for folder, text in [(".", PROJECT_IN_C), ("glimt", bring), ("programs", PROGRAMS_IN_C)]:
+        (project / folder).mkdir(exist_ok=True)
+        (project / folder / "CMakeLists.txt").write_text(textwrap.dedent(text))
     configure(project, build, "-G", generator, f"-DGLIMT_CARGO_TARGET_DIR={target_dir}")
     for program in ("user", "shared_user"):
         assert run(build / "programs" / program, library, "metal").stdout.startswith("f ")
