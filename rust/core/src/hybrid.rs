@@ -16,12 +16,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::features::{Inputs, MAX_FEATURES};
 use crate::kernel::{Kernel, splat3};
-use crate::lobes::Lobes;
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
 use crate::model::Model;
 use crate::network::{Network, One, Rows, check_latent};
-use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// How the network's outputs and f_a make f.
@@ -153,7 +151,6 @@ pub struct Hybrid {
     bound: f32,
     /// The latent code folded into the network's first bias.
     pub(crate) first_bias: Vec<Lane>,
-    sampler: Sampler,
 }
 
 impl Hybrid {
@@ -188,12 +185,7 @@ impl Hybrid {
         check_latent(&latent)?;
         check_bound(bound)?;
         let first_bias = network.fold(&latent);
-        let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
-        let mut hybrid =
-            Hybrid { form, network, microfacet, latent, bound, first_bias, sampler: lobes.into() };
-        hybrid.sampler =
-            Lobes::fit(&hybrid, &LOBE_FACTORS.map(|factor| microfacet.scaled_alpha(factor))).into();
-        Ok(hybrid)
+        Ok(Hybrid { form, network, microfacet, latent, bound, first_bias })
     }
 
     /// What the network is given and what its outputs mean.
@@ -230,14 +222,6 @@ impl Hybrid {
 impl Model for Hybrid {
     const KIND: &'static str = "hybrid";
 
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
-
     fn is_isotropic(&self) -> bool {
         self.form.inputs.is_isotropic() && self.microfacet.is_isotropic()
     }
@@ -266,10 +250,6 @@ impl Model for Hybrid {
         Hybrid::new(self.form, self.network.clone(), self.microfacet, latent, self.bound)
     }
 }
-
-/// Roughnesses that are tried for the sampler's lobe, relative to the material's α: the network
-/// widens lobes more often than it narrows them.
-const LOBE_FACTORS: [f32; 6] = [0.7, 1.0, 1.4, 2.0, 2.8, 4.0];
 
 impl Kernel for Hybrid {
     #[inline(always)]

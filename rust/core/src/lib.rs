@@ -30,5 +30,5 @@ pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
 pub use error::Error;
 pub use glam::Vec3;
 pub use library::Library;
-pub use material::Material;
+pub use material::{AnyModel, Material};
 pub use model::Model;

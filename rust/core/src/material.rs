@@ -1,8 +1,8 @@
-//! The closed set of models, as one type that a renderer holds.
+//! What a renderer holds: a model, and a sampler for it.
 //!
 //! A model is listed here in three places: the enum, `with_model!`, and `variants!`.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
@@ -11,21 +11,19 @@ use crate::brdf::{Brdf, Sample, SampleBrdf};
 use crate::factor::Factor;
 use crate::ggx::Ggx;
 use crate::hybrid::Hybrid;
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::microfacet::Microfacet;
 use crate::model::Model;
 use crate::nbrdf::Nbrdf;
 use crate::network::Network;
 use crate::neural::Neural;
-use crate::sampler::{Sampler, SamplerChoice};
+use crate::sampler::{Plan, Sampler, SamplerChoice};
 use crate::simd::Lane3;
 use crate::spherical::Spherical;
-use crate::table_sampler::TableSampler;
 use crate::tabulated::Tabulated;
 
-/// A material of any model.
+/// The closed set of models.
 #[derive(Clone, Debug)]
-pub enum Material {
+pub enum AnyModel {
     /// See [`crate::ggx`].
     Ggx(Ggx),
     /// See [`crate::hybrid`].
@@ -44,18 +42,26 @@ pub enum Material {
     Spherical(Spherical),
 }
 
-/// `$body` with `$model` bound to the [`Model`] that `$material` holds.
+/// A material: a model, and a sampler that is made when it is first asked for. Copies share it.
+#[derive(Clone, Debug)]
+pub struct Material {
+    model: AnyModel,
+    plan: Plan,
+    sampler: Arc<OnceLock<Sampler>>,
+}
+
+/// `$body` with `$model` bound to the [`Model`] that `$any` holds.
 macro_rules! with_model {
-    ($material:expr, $model:pat => $body:expr) => {
-        match $material {
-            Material::Ggx($model) => $body,
-            Material::Hybrid($model) => $body,
-            Material::Neural($model) => $body,
-            Material::Nbrdf($model) => $body,
-            Material::Factor($model) => $body,
-            Material::Tabulated($model) => $body,
-            Material::Analytic($model) => $body,
-            Material::Spherical($model) => $body,
+    ($any:expr, $model:pat => $body:expr) => {
+        match $any {
+            $crate::material::AnyModel::Ggx($model) => $body,
+            $crate::material::AnyModel::Hybrid($model) => $body,
+            $crate::material::AnyModel::Neural($model) => $body,
+            $crate::material::AnyModel::Nbrdf($model) => $body,
+            $crate::material::AnyModel::Factor($model) => $body,
+            $crate::material::AnyModel::Tabulated($model) => $body,
+            $crate::material::AnyModel::Analytic($model) => $body,
+            $crate::material::AnyModel::Spherical($model) => $body,
         }
     };
 }
@@ -64,9 +70,16 @@ pub(crate) use with_model;
 /// Ways between [`Material`] and each model.
 macro_rules! variants {
     ($($model:ident),+) => {$(
+        impl From<$model> for AnyModel {
+            fn from(model: $model) -> Self {
+                AnyModel::$model(model)
+            }
+        }
+
         impl From<$model> for Material {
             fn from(model: $model) -> Self {
-                Material::$model(model)
+                let plan = model.plan();
+                Material::planned(model.into(), plan)
             }
         }
 
@@ -74,7 +87,7 @@ macro_rules! variants {
             type Error = ();
 
             fn try_from(material: &'a Material) -> Result<Self, ()> {
-                if let Material::$model(model) = material { Ok(model) } else { Err(()) }
+                if let AnyModel::$model(model) = material.model() { Ok(model) } else { Err(()) }
             }
         }
     )+};
@@ -82,108 +95,110 @@ macro_rules! variants {
 variants!(Ggx, Hybrid, Neural, Nbrdf, Factor, Tabulated, Analytic, Spherical);
 
 impl Material {
+    fn planned(model: AnyModel, plan: Plan) -> Material {
+        Material { model, plan, sampler: Arc::default() }
+    }
+
+    /// The model.
+    #[must_use]
+    pub fn model(&self) -> &AnyModel {
+        &self.model
+    }
+
     /// See [`Model::KIND`].
     #[must_use]
     pub fn kind(&self) -> &'static str {
         fn kind<M: Model>(_: &M) -> &'static str {
             M::KIND
         }
-        with_model!(self, model => kind(model))
+        with_model!(&self.model, model => kind(model))
     }
 
     /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {
-        with_model!(self, model => Model::microfacet(model))
+        with_model!(&self.model, model => Model::microfacet(model))
     }
 
     /// See [`Model::latent`].
     #[must_use]
     pub fn latent(&self) -> &[f32] {
-        with_model!(self, model => Model::latent(model))
+        with_model!(&self.model, model => Model::latent(model))
     }
 
     /// See [`Model::network`].
     #[must_use]
     pub fn network(&self) -> Option<&Network> {
-        with_model!(self, model => Model::network(model))
+        with_model!(&self.model, model => Model::network(model))
     }
 
-    /// See [`Model::sampler`].
+    /// The sampler, which the first call makes.
     #[must_use]
     pub fn sampler(&self) -> &Sampler {
-        with_model!(self, model => model.sampler())
+        self.sampler.get_or_init(|| with_model!(&self.model, model => self.plan.make(model)))
     }
 
-    /// The same material with another sampler, made for it here.
+    /// What the sampler is or will be.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The same material with another sampler.
     #[must_use]
     pub fn with_sampler(&self, choice: SamplerChoice) -> Material {
-        let sampler = match (choice, self.sampler()) {
-            (SamplerChoice::Lobes, Sampler::Lobes(_)) => return self.clone(),
-            (SamplerChoice::Lobes, _) => Lobes::fit(self, &PROXY_ALPHAS).into(),
-            (SamplerChoice::Table(resolution), _) => {
-                Sampler::Table(Arc::new(TableSampler::new(self, self.is_isotropic(), resolution)))
-            }
-        };
-        let mut material = self.clone();
-        with_model!(&mut material, model => model.set_sampler(sampler));
-        material
-    }
-
-    /// An edited copy of this material, with a sampler of the same kind.
-    fn sampled_alike(&self, edited: Material) -> Material {
-        match self.sampler() {
-            Sampler::Table(table) => edited.with_sampler(SamplerChoice::Table(table.resolution())),
-            Sampler::Lobes(_) | Sampler::Warp(_) => edited,
+        match (choice, &self.plan) {
+            (SamplerChoice::Lobes, Plan::Lobes) => self.clone(),
+            _ => Material::planned(self.model.clone(), choice.into()),
         }
     }
 
     /// See [`Model::is_isotropic`].
     #[must_use]
     pub fn is_isotropic(&self) -> bool {
-        with_model!(self, model => model.is_isotropic())
+        with_model!(&self.model, model => model.is_isotropic())
     }
 
     /// See [`Model::is_reciprocal`].
     #[must_use]
     pub fn is_reciprocal(&self) -> bool {
-        with_model!(self, model => model.is_reciprocal())
+        with_model!(&self.model, model => model.is_reciprocal())
     }
 
-    /// See [`Model::with_microfacet`].
+    /// See [`Model::with_microfacet`]. The copy has a sampler of the same kind.
     ///
     /// # Errors
     /// See [`Model::with_microfacet`].
     pub fn with_microfacet(&self, microfacet: Microfacet) -> Result<Material, String> {
-        let edited = with_model!(self, model => model.with_microfacet(microfacet).map(Material::from))?;
-        Ok(self.sampled_alike(edited))
+        let edited = with_model!(&self.model, model => model.with_microfacet(microfacet).map(AnyModel::from))?;
+        Ok(Material::planned(edited, self.plan.clone()))
     }
 
-    /// See [`Model::with_latent`].
+    /// See [`Model::with_latent`]. The copy has a sampler of the same kind.
     ///
     /// # Errors
     /// See [`Model::with_latent`].
     pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, String> {
-        let edited = with_model!(self, model => model.with_latent(latent).map(Material::from))?;
-        Ok(self.sampled_alike(edited))
+        let edited = with_model!(&self.model, model => model.with_latent(latent).map(AnyModel::from))?;
+        Ok(Material::planned(edited, self.plan.clone()))
     }
 }
 
 impl Brdf for Material {
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        with_model!(self, model => model.eval(light, view))
+        with_model!(&self.model, model => model.eval(light, view))
     }
 
     fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        with_model!(self, model => model.eval_tile(light, view, out));
+        with_model!(&self.model, model => model.eval_tile(light, view, out));
     }
 
     fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
-        with_model!(self, model => model.eval_packet(light, view, out));
+        with_model!(&self.model, model => model.eval_packet(light, view, out));
     }
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
-        with_model!(self, model => model.eval_batch(light, view, out));
+        with_model!(&self.model, model => model.eval_batch(light, view, out));
     }
 }
 

@@ -14,11 +14,9 @@ use glam::{Mat3, Vec3};
 
 use crate::hybrid::check_bound;
 use crate::kernel::Kernel;
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
 use crate::network::{LARGEST_INPUT, Layer, Network, One, Rows, check_latent};
-use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Learned frames.
@@ -46,7 +44,6 @@ pub struct Neural {
     /// ψ with this material's frames and latent code folded into its first layer.
     network: Network,
     first_bias: Vec<Lane>,
-    sampler: Sampler,
 }
 
 impl Neural {
@@ -87,10 +84,7 @@ impl Neural {
         check_bound(bound)?;
         let network = fold_frames(&shared, &latent)?;
         let first_bias = network.fold(&[]);
-        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut neural = Neural { shared, latent, bound, network, first_bias, sampler: lobes.into() };
-        neural.sampler = Lobes::fit(&neural, &PROXY_ALPHAS).into();
-        Ok(neural)
+        Ok(Neural { shared, latent, bound, network, first_bias })
     }
 
     /// Network and frame layer of the library.
@@ -120,15 +114,6 @@ impl Neural {
 
 impl Model for Neural {
     const KIND: &'static str = "neural";
-
-    /// A proxy that was fitted to the network.
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         false

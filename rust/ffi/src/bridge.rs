@@ -6,9 +6,8 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::SystemTime;
 
 use glimt_core::library::Entry;
-use glimt_core::lobes::Lobes;
-use glimt_core::sampler::SamplerChoice;
-use glimt_core::{Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_core::sampler::{Plan, SamplerChoice};
+use glimt_core::{AnyModel, Brdf, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
 use glimt_files::Source;
 
 use crate::packet::eval_packet_address;
@@ -58,10 +57,12 @@ mod ffi {
         alpha: [f32; 2],
     }
 
-    /// The sampler, see `lobes.rs` of the core.
+    /// The sampler, see `lobes/` of the core.
     struct Lobes {
-        alpha: [f32; 2],
-        specular_weight: f32,
+        /// α_x and α_y of every GGX lobe.
+        alpha: Vec<f32>,
+        /// At each knot the shares of the GGX lobes and that of the cosine lobe.
+        shares: Vec<f32>,
     }
 
     /// A sampled light direction, its density and f · cosθ / pdf.
@@ -118,7 +119,7 @@ mod ffi {
         fn has_traced_form(&self) -> bool;
         /// Whether the sampler is made of `lobes`, and can be traced elsewhere.
         fn has_lobes(&self) -> bool;
-        /// The lobes, or cosine-distributed ones where the sampler is something else.
+        /// The lobes, or nothing where the sampler is something else.
         fn lobes(&self) -> Lobes;
         /// Name of the sampler.
         fn sampler(&self) -> &str;
@@ -205,11 +206,11 @@ impl Material {
     }
 
     fn description(&self) -> String {
-        let kind = match &self.material {
-            glimt_core::Material::Tabulated(tabulated) => {
+        let kind = match self.material.model() {
+            AnyModel::Tabulated(tabulated) => {
                 return format!("{} ({})", self.material.kind(), tabulated.table().format());
             }
-            fitted => fitted.kind(),
+            _ => self.material.kind(),
         };
         let Some(network) = self.material.network() else { return kind.to_owned() };
         let layers = network.layers();
@@ -228,9 +229,9 @@ impl Material {
             composition: ffi::Composition::GatedResidual,
             frames: ffi::Layer { weight: Vec::new(), bias: Vec::new() },
         };
-        match &self.material {
-            glimt_core::Material::Ggx(_) => model,
-            glimt_core::Material::Hybrid(m) => ffi::Model {
+        match self.material.model() {
+            AnyModel::Ggx(_) => model,
+            AnyModel::Hybrid(m) => ffi::Model {
                 kind: ffi::Kind::Hybrid,
                 network: m.network().as_ref().into(),
                 bound: m.bound(),
@@ -239,21 +240,21 @@ impl Material {
                 composition: m.form().composition.into(),
                 ..model
             },
-            glimt_core::Material::Neural(m) => ffi::Model {
+            AnyModel::Neural(m) => ffi::Model {
                 kind: ffi::Kind::Neural,
                 network: (&m.shared().network).into(),
                 bound: m.bound(),
                 frames: (&m.shared().frames).into(),
                 ..model
             },
-            glimt_core::Material::Nbrdf(m) => {
+            AnyModel::Nbrdf(m) => {
                 ffi::Model { kind: ffi::Kind::Nbrdf, network: m.network().as_ref().into(), ..model }
             }
-            glimt_core::Material::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
-            glimt_core::Material::Tabulated(_) => ffi::Model { kind: ffi::Kind::Tabulated, ..model },
-            glimt_core::Material::Analytic(_) => ffi::Model { kind: ffi::Kind::Analytic, ..model },
+            AnyModel::Factor(_) => ffi::Model { kind: ffi::Kind::Factor, ..model },
+            AnyModel::Tabulated(_) => ffi::Model { kind: ffi::Kind::Tabulated, ..model },
+            AnyModel::Analytic(_) => ffi::Model { kind: ffi::Kind::Analytic, ..model },
             // The lookup is not traced, so that what it needs does not cross.
-            glimt_core::Material::Spherical(_) => ffi::Model { kind: ffi::Kind::Spherical, ..model },
+            AnyModel::Spherical(_) => ffi::Model { kind: ffi::Kind::Spherical, ..model },
         }
     }
 
@@ -272,22 +273,31 @@ impl Material {
     }
 
     fn has_traced_form(&self) -> bool {
-        use glimt_core::Material::{Analytic, Factor, Spherical, Tabulated};
-        !matches!(self.material, Factor(_) | Tabulated(_) | Analytic(_) | Spherical(_))
+        use AnyModel::{Analytic, Factor, Spherical, Tabulated};
+        !matches!(self.material.model(), Factor(_) | Tabulated(_) | Analytic(_) | Spherical(_))
     }
 
     fn has_lobes(&self) -> bool {
-        self.material.sampler().lobes().is_some()
+        matches!(self.material.plan(), Plan::Lobes)
     }
 
     fn lobes(&self) -> ffi::Lobes {
-        let cosine = Lobes { alpha: [1.0; 2], specular_weight: 0.0 };
-        let Lobes { alpha, specular_weight } = self.material.sampler().lobes().unwrap_or(cosine);
-        ffi::Lobes { alpha, specular_weight }
+        let none = ffi::Lobes { alpha: Vec::new(), shares: Vec::new() };
+        // A sampler of another kind is not made to learn that it has none.
+        if !self.has_lobes() {
+            return none;
+        }
+        guarded(none, || {
+            let lobes = self.material.sampler().lobes().expect("the plan is kept");
+            ffi::Lobes {
+                alpha: lobes.alpha().as_flattened().to_vec(),
+                shares: lobes.shares().as_flattened().to_vec(),
+            }
+        })
     }
 
     fn sampler(&self) -> &str {
-        self.material.sampler().name()
+        self.material.plan().name()
     }
 
     fn is_isotropic(&self) -> bool {

@@ -10,7 +10,7 @@ use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::ptr;
 
-use glimt_core::{Brdf, Error, Library, Material, Sample, SampleBrdf, Vec3};
+use glimt_core::{AnyModel, Brdf, Error, Library, Material, Sample, SampleBrdf, Vec3};
 use glimt_files::Source;
 
 use crate::bridge::guarded;
@@ -363,15 +363,15 @@ pub unsafe extern "C" fn glimt_material_get_info(
 }
 
 fn kind(material: &Material) -> glimt_kind {
-    match material {
-        Material::Ggx(_) => GLIMT_KIND_GGX,
-        Material::Hybrid(_) => GLIMT_KIND_HYBRID,
-        Material::Neural(_) => GLIMT_KIND_NEURAL,
-        Material::Nbrdf(_) => GLIMT_KIND_NBRDF,
-        Material::Factor(_) => GLIMT_KIND_FACTOR,
-        Material::Tabulated(_) => GLIMT_KIND_TABULATED,
-        Material::Analytic(_) => GLIMT_KIND_ANALYTIC,
-        Material::Spherical(_) => GLIMT_KIND_SPHERICAL,
+    match material.model() {
+        AnyModel::Ggx(_) => GLIMT_KIND_GGX,
+        AnyModel::Hybrid(_) => GLIMT_KIND_HYBRID,
+        AnyModel::Neural(_) => GLIMT_KIND_NEURAL,
+        AnyModel::Nbrdf(_) => GLIMT_KIND_NBRDF,
+        AnyModel::Factor(_) => GLIMT_KIND_FACTOR,
+        AnyModel::Tabulated(_) => GLIMT_KIND_TABULATED,
+        AnyModel::Analytic(_) => GLIMT_KIND_ANALYTIC,
+        AnyModel::Spherical(_) => GLIMT_KIND_SPHERICAL,
     }
 }
 

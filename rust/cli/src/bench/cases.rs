@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use clap::ValueEnum;
-use glimt_core::Material;
+use glimt_core::{AnyModel, Material};
 use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
 use glimt_core::healpix::Healpix;
@@ -42,9 +42,9 @@ pub struct Case {
 
 impl Case {
     pub fn new(material: Material) -> Self {
-        let multiply_adds = match &material {
+        let multiply_adds = match material.model() {
             // Frames and latent code are folded into the network that runs.
-            Material::Neural(neural) => neural.folded_network().multiply_adds(),
+            AnyModel::Neural(neural) => neural.folded_network().multiply_adds(),
             _ => material.network().map_or(0, Network::multiply_adds),
         };
         Case { material, multiply_adds, training: None }

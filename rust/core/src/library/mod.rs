@@ -144,7 +144,7 @@ impl Library {
             if architecture(&entry.material) != architecture(first) {
                 return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
             }
-            let together = with_model!(first, first => first.check_together(model_of(&entry.material)));
+            let together = with_model!(first.model(), first => first.check_together(model_of(&entry.material)));
             together.map_err(|e| format!("\"{}\" and \"{}\" {e}", self.entries[0].name, entry.name))?;
         }
         Ok(())
@@ -294,7 +294,7 @@ impl Library {
         {
             M::encode(&entries.iter().map(|entry| model_of(&entry.material)).collect::<Vec<_>>())
         }
-        with_model!(&self.entries[0].material, first => encode(first, &self.entries))
+        with_model!(self.entries[0].material.model(), first => encode(first, &self.entries))
     }
 }
 
@@ -307,7 +307,7 @@ where
 }
 
 fn form(material: &Material) -> Option<Value> {
-    with_model!(material, model => Codec::form(model))
+    with_model!(material.model(), model => Codec::form(model))
 }
 
 /// Model and sizes: what the materials of one library have in common.
@@ -404,7 +404,7 @@ mod tests {
     fn hybrid(network: &Arc<Network>, alpha: [f32; 2], z: f32) -> Material {
         let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
         let microfacet = Microfacet { alpha, ..PARAMETERS };
-        Material::Hybrid(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
+        Material::from(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
     }
 
     /// Two materials of every model, and of the hybrid with one network each.
@@ -417,10 +417,10 @@ mod tests {
             frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
         });
         let nbrdf = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, Activation::Relu));
-        let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
+        let ggx = |alpha| Material::from(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
         let factor = |factors: Factors| {
             let material = |name: &str, interpolation| {
-                entry(name, Material::Factor(Factor::new(factors.clone(), interpolation).unwrap()))
+                entry(name, Material::from(Factor::new(factors.clone(), interpolation).unwrap()))
             };
             vec![material("a", Interpolation::Nearest), material("b", Interpolation::Nearest)]
         };
@@ -429,19 +429,19 @@ mod tests {
             vec![entry("a", hybrid(&shared, [0.2; 2], 0.1)), entry("b", hybrid(&shared, [0.3; 2], -0.4))],
             vec![entry("a", hybrid(&own[0], [0.2, 0.4], 0.1)), entry("b", hybrid(&own[1], [0.3; 2], 0.2))],
             vec![
-                entry("a", Material::Neural(Neural::new(neural.clone(), vec![0.1; 12], 1.0).unwrap())),
-                entry("b", Material::Neural(Neural::new(neural, vec![-0.2; 12], 2.0).unwrap())),
+                entry("a", Material::from(Neural::new(neural.clone(), vec![0.1; 12], 1.0).unwrap())),
+                entry("b", Material::from(Neural::new(neural, vec![-0.2; 12], 2.0).unwrap())),
             ],
             vec![
-                entry("a", Material::Nbrdf(Nbrdf::new(nbrdf(1)).unwrap())),
-                entry("b", Material::Nbrdf(Nbrdf::new(nbrdf(2)).unwrap())),
+                entry("a", Material::from(Nbrdf::new(nbrdf(1)).unwrap())),
+                entry("b", Material::from(Nbrdf::new(nbrdf(2)).unwrap())),
             ],
         ];
         libraries.extend(patterned_factors().map(factor));
         libraries.extend(specimens().map(|parameters| {
             let mut other = parameters.clone();
             other.diffuse = [0.5; 3];
-            let material = |parameters| Material::Analytic(Analytic::new(parameters).unwrap());
+            let material = |parameters| Material::from(Analytic::new(parameters).unwrap());
             vec![entry("a", material(parameters)), entry("b", material(other))]
         }));
         libraries
