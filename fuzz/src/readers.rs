@@ -70,7 +70,7 @@ pub fn npy(bytes: &[u8]) -> bool {
 pub fn nbrdf_file(bytes: &[u8]) -> bool {
     let material = within(ARCHIVE, bytes, || nbrdf::from_bytes(Path::new(PATH), bytes));
     let Some(material) = material else { return false };
-    promises(&Material::Nbrdf(material));
+    promises(&Material::from(material));
     true
 }
 
@@ -97,7 +97,7 @@ pub fn checkpoint(bytes: &[u8]) -> bool {
 pub fn fit(bytes: &[u8]) -> bool {
     let Some(materials) = within(JSON, bytes, || merl_fits::materials(bytes)) else { return false };
     for (_, material) in materials {
-        promises(&Material::Analytic(material));
+        promises(&Material::from(material));
     }
     true
 }

@@ -45,8 +45,8 @@ Compact fit of a measured material (:monosp:`glimt`)
 
  * - sampler
    - |string|
-   - How directions are sampled: ``lobes`` (a cosine lobe and a GGX lobe), ``table`` (tables of the
-     reflectance, made when the scene is loaded; ``table:32x64x32`` or ``table:paper`` for another
+   - How directions are sampled: ``lobes`` (GGX lobes and a cosine lobe), ``table`` (tables of the
+     reflectance, made when first asked for; ``table:32x64x32`` or ``table:paper`` for another
      resolution). (Default: ``lobes`` for models, ``table`` for MERL and UTIA files, and the file's own
      warps for RGL files)
 
@@ -404,13 +404,15 @@ private:
     /// Makes everything that depends on the material agree with it.
     void bind() {
         m_has_lobes = m_material->has_lobes();
-        auto lobes = m_material->lobes();
-        m_lobes.alpha = Vector2f(lobes.alpha[0], lobes.alpha[1]);
-        m_lobes.specular_weight = lobes.specular_weight;
+        if constexpr (dr::is_jit_v<Float>) {
+            // Scalar variants sample in the core, where lobes are not chosen before they are needed.
+            if (m_has_lobes)
+                m_lobes = glimt::TracedLobes<Float>(m_material->lobes());
+        }
         auto room = m_material->room();
         m_room = dr::load<FloatStorage>(room.data(), room.size());
         // Values that are not literals, so that a change of them compiles no new kernel.
-        dr::make_opaque(m_lobes.alpha, m_lobes.specular_weight, m_kd, m_eta, m_alpha, m_latent, m_room);
+        dr::make_opaque(m_kd, m_eta, m_alpha, m_latent, m_room);
         m_accepted = { m_kd, m_eta, m_alpha, m_latent };
 
         m_components.assign(1, BSDFFlags::GlossyReflection | BSDFFlags::FrontSide);
@@ -507,7 +509,7 @@ private:
                 if (!m_has_lobes)
                     return m_sampler_call.pdf(m_call.address(), wo, wi, active);
             }
-            return dr::select(active, m_lobes.pdf(wo, wi), 0.f);
+            return dr::select(active, m_lobes.pdf(wo, wi, active), 0.f);
         }
     }
 
@@ -557,9 +559,9 @@ private:
                 return { reflected(wo, pdf), pdf > 0.f };
             }
         }
-        Vector3f wo = m_lobes.sample(wi, sample1, sample2);
+        auto [wo, density] = m_lobes.sample(wi, sample1, sample2, active);
         Mask lit = active && is_lit(wi, wo);
-        Float pdf = dr::select(lit, m_lobes.pdf(wo, wi), 0.f);
+        Float pdf = dr::select(lit, density, 0.f);
         return { reflected(wo, pdf), lit && pdf > 0.f };
     }
 

@@ -4,7 +4,7 @@
 use glam::{DVec3, Vec3};
 use glimt_core::features::{self, Inputs, MAX_FEATURES};
 use glimt_core::hybrid::Composition;
-use glimt_core::lobes::{self, Lobes};
+use glimt_core::lobes::{self, GGX_LOBES, KNOTS, Lobes};
 use glimt_core::math::{self, EXP_MAX, EXP_MIN};
 use glimt_core::microfacet::{self, ETA_RANGE, Half, MIN_ALPHA, Microfacet};
 use rand::{RngExt, SeedableRng};
@@ -272,11 +272,12 @@ fn feature_of(rng: &mut Pcg64Mcg, unit: Unit, worst: &mut Worst, inputs: Inputs,
 fn sampled(rng: &mut Pcg64Mcg, unit: Unit, worst: &mut Worst, components: &[usize]) {
     let ((_, v), lobes) = (directions(rng), sampler(rng));
     let u = Vec3::new(rng.random(), rng.random(), rng.random());
-    let Some(light) = lobes.sample_direction(v, u) else { return };
+    let Some((light, _)) = lobes.sample_direction(v, u) else { return };
+    let Some(lobe) = chosen(&lobes, v, u.x) else { return };
     for &i in components {
         let inputs = [v.x, v.y, v.z, u.y, u.z];
         scalar(worst, unit, inputs, light[i], |[x, y, z, u1, u2]| {
-            lobes::reference::sample_direction(&lobes, [x, y, z].into(), [f64::from(u.x), u1, u2].into())[i]
+            lobes::reference::sample_direction(&lobes, lobe, [x, y, z].into(), [u1, u2])[i]
         });
     }
 }
@@ -311,7 +312,27 @@ fn parameters(rng: &mut Pcg64Mcg) -> Microfacet {
 }
 
 fn sampler(rng: &mut Pcg64Mcg) -> Lobes {
-    Lobes { alpha: roughness(rng), specular_weight: rng.random_range(0.1..0.9) }
+    let alpha = [(); GGX_LOBES].map(|()| roughness(rng));
+    let shares = [(); KNOTS].map(|()| {
+        let parts = [(); GGX_LOBES + 1].map(|()| rng.random_range(0.01..1.0_f32));
+        parts.map(|part| part / parts.iter().sum::<f32>())
+    });
+    Lobes::new(alpha, shares)
+}
+
+/// The lobe that `u` selects; `None` where it is so near to an edge that rounding decides.
+fn chosen(lobes: &Lobes, view: Vec3, u: f32) -> Option<usize> {
+    let mut edge = 0.0;
+    for (lobe, share) in lobes::reference::shares(lobes, view.z.into()).into_iter().enumerate() {
+        edge += share;
+        if (f64::from(u) - edge).abs() < 1e-6 {
+            return None;
+        }
+        if f64::from(u) < edge {
+            return Some(lobe);
+        }
+    }
+    None
 }
 
 #[cfg(test)]

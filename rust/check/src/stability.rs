@@ -3,7 +3,7 @@
 
 use glam::Vec3;
 use glimt_core::network::{Layer, Network};
-use glimt_core::sampler::Sampler;
+use glimt_core::sampler::Plan;
 use glimt_core::simd::{LANES, Lane3};
 use glimt_core::{Brdf, Material, Sample, SampleBrdf, is_lit};
 use rand::{RngExt, SeedableRng};
@@ -20,7 +20,7 @@ use crate::extremes::{self, Case, Family, Pair};
 #[must_use]
 pub fn violation(material: &Material, (light, view): Pair, f: Vec3, u: Vec3) -> Option<String> {
     let pdf = material.pdf(light, view);
-    let reaches_all = !matches!(material.sampler(), Sampler::Warp(_));
+    let reaches_all = !matches!(material.plan(), Plan::Warp(_));
     let wrong = if !f.is_finite() || f.min_element() < 0.0 {
         format!("f is {f}")
     } else if !pdf.is_finite() || pdf < 0.0 {

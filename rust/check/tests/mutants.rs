@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::Vec3;
 use glimt_check::{Answer, Claims, Component, Draw, Options, Part, Report, Subject, Test, Verdict, check};
 use glimt_core::is_lit;
-use glimt_core::lobes::Lobes;
+use glimt_core::lobes::{COSINE, GGX_LOBES, KNOTS, Lobes, VisibleNormals};
 use glimt_core::microfacet::Microfacet;
 
 /// One way to be broken.
@@ -54,24 +54,32 @@ enum Bug {
 const DIFFUSE: usize = 0;
 const GLOSSY: usize = 1;
 
+/// Probability of the glossy component.
+const GLOSSY_SHARE: f32 = 0.5;
+
+/// A GGX lobe with this probability, and a cosine lobe with the rest.
+fn lobes(alpha: [f32; 2], share: f32) -> Lobes {
+    let mut shares = [0.0; GGX_LOBES + 1];
+    (shares[0], shares[COSINE]) = (share, 1.0 - share);
+    Lobes::new([alpha; GGX_LOBES], [shares; KNOTS])
+}
+
 /// A diffuse and a glossy component with every claim, and a bug.
 struct Mutant {
     bug: Bug,
     material: Microfacet,
-    lobes: Lobes,
     calls: AtomicU32,
 }
 
 impl Mutant {
     fn new(bug: Bug) -> Mutant {
         let material = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.8, 1.7, 1.6], alpha: [0.2; 2] };
-        let lobes = Lobes { alpha: material.alpha, specular_weight: 0.5 };
-        Mutant { bug, material, lobes, calls: AtomicU32::new(0) }
+        Mutant { bug, material, calls: AtomicU32::new(0) }
     }
 
     /// Density of the glossy lobe.
     fn glossy_pdf(&self, light: Vec3, view: Vec3) -> f32 {
-        Lobes { specular_weight: 1.0, ..self.lobes }.pdf(light, view)
+        VisibleNormals { alpha: self.material.alpha }.pdf(light, view)
     }
 
     /// f of one part.
@@ -125,7 +133,7 @@ impl Mutant {
             _ => self.glossy_pdf(light, view),
         };
         let diffuse = light.z * FRAC_1_PI;
-        let share = if self.bug == Bug::PdfOfOtherShare { 0.6 } else { self.lobes.specular_weight };
+        let share = if self.bug == Bug::PdfOfOtherShare { 0.6 } else { GLOSSY_SHARE };
         let pdf = match part {
             Part::Component(DIFFUSE) if self.bug == Bug::ComponentPdfWrong => FRAC_1_PI / 2.0,
             Part::Component(DIFFUSE) => diffuse,
@@ -154,11 +162,12 @@ impl Mutant {
         let part = if self.bug == Bug::ComponentSampleIgnored { Part::Whole } else { part };
         let share = match (part, self.bug) {
             (Part::Component(DIFFUSE), _) | (_, Bug::SampleMissesLobe) => 0.0,
-            (Part::Component(GLOSSY), _) => 1.1,
-            _ => self.lobes.specular_weight,
+            (Part::Component(GLOSSY), _) => 1.0,
+            _ => GLOSSY_SHARE,
         };
-        let lobes = Lobes { specular_weight: share, ..self.lobes };
-        let Some(mut light) = lobes.sample_direction(view, u) else { return failed };
+        let Some((mut light, _)) = lobes(self.material.alpha, share).sample_direction(view, u) else {
+            return failed;
+        };
         if self.bug == Bug::SampleMissesHalf || self.bug == Bug::PdfZeroInHalf {
             light.y = light.y.abs();
         }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, Result, bail};
 use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::{Brdf, Material};
+use glimt_core::{AnyModel, Brdf};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::Progress;
@@ -188,7 +188,7 @@ pub fn measure(entries: &mut [Entry], inputs: &[Input], held: &BTreeMap<String, 
         keep("log_mse", error.log_mse);
         keep("mae", error.mae);
         keep("rmse", error.rmse);
-        if let Material::Hybrid(hybrid) = &entry.material {
+        if let AnyModel::Hybrid(hybrid) = entry.material.model() {
             let part = Ggx::new(*hybrid.microfacet()).expect("a hybrid's parameters are in range");
             let analytic = against(&part);
             keep("analytic_smape", analytic.smape);

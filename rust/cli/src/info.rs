@@ -8,8 +8,8 @@ use glimt_core::hybrid::Form;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::network::Network;
 use glimt_core::sampler::Sampler;
-use glimt_core::tabulated::Tabulated;
-use glimt_core::{Library, Material, Model, Oddity, Vec3};
+use glimt_core::tabulated::Table;
+use glimt_core::{AnyModel, Library, Material, Oddity, Vec3};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source};
 use serde::Serialize;
@@ -126,10 +126,13 @@ impl Info {
         let file = source.path().display().to_string();
         let metadata = std::fs::metadata(source.path()).with_context(|| format!("cannot read {file}"))?;
         let content = match source {
-            Source::Library(library) => match &library.entries()[0] {
-                Entry { name, material: Material::Tabulated(table), .. } => table_content(name, table),
-                _ => library_content(library),
-            },
+            Source::Library(library) => {
+                let Entry { name, material, .. } = &library.entries()[0];
+                match material.model() {
+                    AnyModel::Tabulated(table) => table_content(name, table.table(), material),
+                    _ => library_content(library),
+                }
+            }
             Source::Samples { samples, .. } => samples_content(source.names().remove(0), samples),
         };
         Ok(Info { file, bytes: metadata.len(), kind: source.kind(), content })
@@ -203,8 +206,8 @@ fn library_content(library: &Library) -> Content {
     let first = &library.entries()[0].material;
     let (bytes_per_material, shared_bytes) = library.tensor_bytes();
     Content::Library {
-        form: match first {
-            Material::Hybrid(hybrid) => Some(hybrid.form()),
+        form: match first.model() {
+            AnyModel::Hybrid(hybrid) => Some(hybrid.form()),
             _ => None,
         },
         network: first.network().map(NetworkInfo::new),
@@ -214,14 +217,13 @@ fn library_content(library: &Library) -> Content {
     }
 }
 
-fn table_content(name: &str, material: &Tabulated) -> Content {
-    let table = material.table();
+fn table_content(name: &str, table: &dyn Table, sampled: &Material) -> Content {
     Content::Measured {
         material: name.to_owned(),
         description: table.description().to_owned(),
         isotropic: table.is_isotropic(),
         odd: table.oddities().to_vec(),
-        sampler: SamplerInfo::new(material.sampler()),
+        sampler: SamplerInfo::new(sampled),
     }
 }
 
@@ -293,9 +295,9 @@ impl MaterialInfo {
 }
 
 impl SamplerInfo {
-    fn new(sampler: &Sampler) -> SamplerInfo {
-        let bytes = if let Sampler::Table(table) = sampler { table.bytes() } else { 0 };
-        SamplerInfo { name: sampler.name(), bytes }
+    fn new(material: &Material) -> SamplerInfo {
+        let bytes = if let Sampler::Table(table) = material.sampler() { table.bytes() } else { 0 };
+        SamplerInfo { name: material.plan().name(), bytes }
     }
 
     fn text(&self) -> String {

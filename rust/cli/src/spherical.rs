@@ -1,7 +1,7 @@
 //! The options of `glimt fit --model spherical`.
 
 use clap::ValueEnum;
-use glimt_core::Material;
+use glimt_core::AnyModel;
 use glimt_core::healpix::Healpix;
 use glimt_core::library::Entry;
 use glimt_core::spherical::pixelation::Pixelation;
@@ -143,8 +143,8 @@ fn default_nside(inputs: &[Input]) -> u16 {
 
 /// What there is to say of a fit besides its errors: why the grids are what they are, and what was pruned.
 pub fn notes(why: Option<String>, entries: &[Entry]) -> String {
-    let pruned = |entry: &Entry| match &entry.material {
-        Material::Spherical(material) if material.features().links.is_some() => {
+    let pruned = |entry: &Entry| match entry.material.model() {
+        AnyModel::Spherical(material) if material.features().links.is_some() => {
             let rows = material.layout().places().len();
             let kept = material.features().store.rows(material.layout().form().features.into());
             let pruned = rows - kept;

@@ -29,7 +29,7 @@ fn shell(folder: &Folder, script: &str, arguments: &[&str]) -> Output {
 /// Saves a library of one material under any name.
 fn save(path: impl Into<PathBuf>, name: &str) {
     let origin = Origin { source: name.to_owned(), ..Origin::default() };
-    let entry = Entry { name: name.to_owned(), material: Material::Ggx(ggx([0.5; 3])), origin };
+    let entry = Entry { name: name.to_owned(), material: Material::from(ggx([0.5; 3])), origin };
     Library::new(path, vec![entry]).unwrap().save().unwrap();
 }
 

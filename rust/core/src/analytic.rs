@@ -14,9 +14,7 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::{Brdf, is_lit};
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::model::Model;
-use crate::sampler::Sampler;
 
 /// Largest f: parameters may be anything, f is finite.
 const MAX_F: f64 = 1e12;
@@ -211,7 +209,6 @@ impl Specular {
 #[derive(Clone, Debug)]
 pub struct Analytic {
     parameters: Parameters,
-    sampler: Sampler,
 }
 
 impl Analytic {
@@ -240,10 +237,7 @@ impl Analytic {
                 return Err(format!("{name} is {x}, expected a number that is {expected}"));
             }
         }
-        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut analytic = Analytic { parameters, sampler: lobes.into() };
-        analytic.sampler = Lobes::fit(&analytic, &PROXY_ALPHAS).into();
-        Ok(analytic)
+        Ok(Analytic { parameters })
     }
 
     /// The material's parameters.
@@ -255,15 +249,6 @@ impl Analytic {
 
 impl Model for Analytic {
     const KIND: &'static str = "analytic";
-
-    /// A proxy that was fitted to the model.
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         true

@@ -1,17 +1,14 @@
 //! `ggx`: the analytic BRDF alone, as a material.
 
 use crate::kernel::Kernel;
-use crate::lobes::Lobes;
 use crate::microfacet::Microfacet;
 use crate::model::Model;
-use crate::sampler::Sampler;
 use crate::simd::{Lanes, Vector};
 
 /// A material that is [`Microfacet`] and nothing else. Reciprocal.
 #[derive(Clone, Debug)]
 pub struct Ggx {
     microfacet: Microfacet,
-    sampler: Sampler,
 }
 
 impl Ggx {
@@ -21,10 +18,7 @@ impl Ggx {
     /// See [`Microfacet::validate`].
     pub fn new(microfacet: Microfacet) -> Result<Self, String> {
         microfacet.validate()?;
-        let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
-        let mut ggx = Ggx { microfacet, sampler: lobes.into() };
-        ggx.sampler = Lobes::fit(&ggx, &[microfacet.alpha]).into();
-        Ok(ggx)
+        Ok(Ggx { microfacet })
     }
 
     /// The material's parameters.
@@ -36,14 +30,6 @@ impl Ggx {
 
 impl Model for Ggx {
     const KIND: &'static str = "ggx";
-
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         self.microfacet.is_isotropic()

@@ -18,12 +18,10 @@ use crate::brdf::{Brdf, is_lit};
 use crate::edit::{self, Albedos, Allowed, Black, Edit, Fitted, Origin, Room, Turn, Views};
 use crate::features::{Inputs, MAX_FEATURES};
 use crate::kernel::{Kernel, splat3};
-use crate::lobes::Lobes;
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
 use crate::model::Model;
 use crate::network::{Network, One, Rows, check_latent};
-use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// How the network's outputs and f_a make f.
@@ -178,7 +176,6 @@ pub struct Hybrid {
     pub(crate) first_bias: Vec<Lane>,
     /// None if k_d, η, α and z are those of the fit.
     edit: Option<Box<Edit>>,
-    sampler: Sampler,
 }
 
 impl Hybrid {
@@ -213,17 +210,7 @@ impl Hybrid {
         check_latent(&latent)?;
         check_bound(bound)?;
         let first_bias = network.fold(&latent);
-        let lobes = Lobes { alpha: microfacet.alpha, specular_weight: 0.5 };
-        let sampler = lobes.into();
-        let hybrid = Hybrid { form, network, microfacet, latent, bound, first_bias, edit: None, sampler };
-        Ok(hybrid.sampled())
-    }
-
-    /// With the sampler that suits it.
-    fn sampled(mut self) -> Self {
-        let alphas = LOBE_FACTORS.map(|factor| self.microfacet.scaled_alpha(factor));
-        self.sampler = Lobes::fit(&self, &alphas).into();
-        self
+        Ok(Hybrid { form, network, microfacet, latent, bound, first_bias, edit: None })
     }
 
     /// The same network with other parameters: an edit of the material with p₀ = `origin` and `fitted`, or that
@@ -244,7 +231,7 @@ impl Hybrid {
         }
         let mut edited = new(microfacet, latent)?;
         edited.make_room(origin, fitted)?;
-        Ok(edited.sampled())
+        Ok(edited)
     }
 
     /// Between this material and another of the same network, with a share `t` in [0, 1] of the other: z and the
@@ -362,14 +349,6 @@ impl Hybrid {
 impl Model for Hybrid {
     const KIND: &'static str = "hybrid";
 
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
-
     fn is_isotropic(&self) -> bool {
         self.form.inputs.is_isotropic() && self.microfacet.is_isotropic()
     }
@@ -413,10 +392,6 @@ impl Brdf for Analytic<'_> {
         if is_lit(light, view) { self.0.eval(light.into(), view.into()).into() } else { Vec3::ZERO }
     }
 }
-
-/// Roughnesses that are tried for the sampler's lobe, relative to the material's α: the network
-/// widens lobes more often than it narrows them.
-const LOBE_FACTORS: [f32; 6] = [0.7, 1.0, 1.4, 2.0, 2.8, 4.0];
 
 impl Kernel for Hybrid {
     #[inline(always)]

@@ -32,6 +32,6 @@ pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
 pub use error::Error;
 pub use glam::Vec3;
 pub use library::Library;
-pub use material::{Kind, Material};
+pub use material::{AnyModel, Kind, Material};
 pub use model::Model;
 pub use oddity::Oddity;

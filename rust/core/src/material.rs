@@ -1,24 +1,22 @@
-//! The closed set of models, as one type that a renderer holds.
+//! What a renderer holds: a model, and a sampler for it.
 //!
-//! Models are listed once, in [`models!`](Kind). [`Kind`], [`Material`], the conversions, and the macros
+//! Models are listed once, in [`models!`](Kind). [`Kind`], [`AnyModel`], the conversions, and the macros
 //! `with_model!` and `with_kind!` are made from the list. What is particular to a model is a `match` over [`Kind`]
 //! without a wildcard, here and in other crates, so that a model which is missing somewhere does not compile.
 
 use std::fmt;
 use std::str::FromStr;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, SampleBrdf};
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::microfacet::Microfacet;
 use crate::model::Model;
 use crate::network::Network;
 use crate::oddity::Oddity;
-use crate::sampler::{Sampler, SamplerChoice};
+use crate::sampler::{Plan, Sampler, SamplerChoice};
 use crate::simd::Lane3;
-use crate::table_sampler::TableSampler;
 
 /// Makes what goes over all models from the list of their modules and types. `$d` is a dollar sign, for the
 /// macros that are made.
@@ -44,25 +42,32 @@ macro_rules! models {
             }
         }
 
-        /// A material of any model.
+        /// Any model.
         #[derive(Clone, Debug)]
-        pub enum Material {$(
+        pub enum AnyModel {$(
             #[doc = concat!("See [`crate::", stringify!($module), "`].")]
             $model($model),
         )+}
 
-        impl Material {
-            /// The model.
+        impl AnyModel {
+            /// Which model it is.
             #[must_use]
             pub const fn kind(&self) -> Kind {
-                match self {$(Material::$model(_) => Kind::$model,)+}
+                match self {$(AnyModel::$model(_) => Kind::$model,)+}
             }
         }
 
         $(
+            impl From<$model> for AnyModel {
+                fn from(model: $model) -> Self {
+                    AnyModel::$model(model)
+                }
+            }
+
             impl From<$model> for Material {
                 fn from(model: $model) -> Self {
-                    Material::$model(model)
+                    let plan = model.plan();
+                    Material::planned(model.into(), plan)
                 }
             }
 
@@ -70,15 +75,15 @@ macro_rules! models {
                 type Error = ();
 
                 fn try_from(material: &'a Material) -> Result<Self, ()> {
-                    if let Material::$model(model) = material { Ok(model) } else { Err(()) }
+                    if let AnyModel::$model(model) = material.model() { Ok(model) } else { Err(()) }
                 }
             }
         )+
 
-        /// `$body` with `$model` bound to the [`Model`] that `$material` holds.
+        /// `$body` with `$model` bound to the [`Model`] that `$any` is.
         macro_rules! with_model {
-            ($d material:expr, $d model:pat => $d body:expr) => {
-                match $d material {$(Material::$model($d model) => $d body,)+}
+            ($d any:expr, $d model:pat => $d body:expr) => {
+                match $d any {$($crate::material::AnyModel::$model($d model) => $d body,)+}
             };
         }
         pub(crate) use with_model;
@@ -128,108 +133,126 @@ impl FromStr for Kind {
     }
 }
 
+/// A material: a model, and a sampler that is made when it is first asked for. Copies share it.
+#[derive(Clone, Debug)]
+pub struct Material {
+    model: AnyModel,
+    plan: Plan,
+    sampler: Arc<OnceLock<Sampler>>,
+}
+
 impl Material {
+    fn planned(model: AnyModel, plan: Plan) -> Material {
+        Material { model, plan, sampler: Arc::default() }
+    }
+
+    /// The model.
+    #[must_use]
+    pub fn model(&self) -> &AnyModel {
+        &self.model
+    }
+
+    /// Which model it is.
+    #[must_use]
+    pub fn kind(&self) -> Kind {
+        self.model.kind()
+    }
+
     /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {
-        with_model!(self, model => Model::microfacet(model))
+        with_model!(&self.model, model => Model::microfacet(model))
     }
 
     /// See [`Model::latent`].
     #[must_use]
     pub fn latent(&self) -> &[f32] {
-        with_model!(self, model => Model::latent(model))
+        with_model!(&self.model, model => Model::latent(model))
     }
 
     /// See [`Model::network`].
     #[must_use]
     pub fn network(&self) -> Option<&Network> {
-        with_model!(self, model => Model::network(model))
+        with_model!(&self.model, model => Model::network(model))
     }
 
-    /// See [`Model::sampler`].
+    /// The sampler, which the first call makes.
     #[must_use]
     pub fn sampler(&self) -> &Sampler {
-        with_model!(self, model => model.sampler())
+        self.sampler.get_or_init(|| with_model!(&self.model, model => self.plan.make(model)))
     }
 
-    /// The same material with another sampler, made for it here.
+    /// What the sampler is or will be.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// The same material with another sampler.
     #[must_use]
     pub fn with_sampler(&self, choice: SamplerChoice) -> Material {
-        let sampler = match (choice, self.sampler()) {
-            (SamplerChoice::Lobes, Sampler::Lobes(_)) => return self.clone(),
-            (SamplerChoice::Lobes, _) => Lobes::fit(self, &PROXY_ALPHAS).into(),
-            (SamplerChoice::Table(resolution), _) => {
-                Sampler::Table(Arc::new(TableSampler::new(self, self.is_isotropic(), resolution)))
-            }
-        };
-        let mut material = self.clone();
-        with_model!(&mut material, model => model.set_sampler(sampler));
-        material
-    }
-
-    /// An edited copy of this material, with a sampler of the same kind.
-    fn sampled_alike(&self, edited: Material) -> Material {
-        match self.sampler() {
-            Sampler::Table(table) => edited.with_sampler(SamplerChoice::Table(table.resolution())),
-            Sampler::Lobes(_) | Sampler::Warp(_) => edited,
+        match (choice, &self.plan) {
+            (SamplerChoice::Lobes, Plan::Lobes) => self.clone(),
+            _ => Material::planned(self.model.clone(), choice.into()),
         }
     }
 
     /// See [`Model::is_isotropic`].
     #[must_use]
     pub fn is_isotropic(&self) -> bool {
-        with_model!(self, model => model.is_isotropic())
+        with_model!(&self.model, model => model.is_isotropic())
     }
 
     /// See [`Model::is_reciprocal`].
     #[must_use]
     pub fn is_reciprocal(&self) -> bool {
-        with_model!(self, model => model.is_reciprocal())
+        with_model!(&self.model, model => model.is_reciprocal())
     }
 
     /// What is odd about the file that a measurement was read from; empty for models.
     #[must_use]
     pub fn oddities(&self) -> &[Oddity] {
-        if let Material::Tabulated(measured) = self { measured.table().oddities() } else { &[] }
+        if let AnyModel::Tabulated(measured) = &self.model { measured.table().oddities() } else { &[] }
     }
 
-    /// See [`Model::with_microfacet`].
+    /// See [`Model::with_microfacet`]. The copy has a sampler of the same kind.
     ///
     /// # Errors
     /// See [`Model::with_microfacet`].
     pub fn with_microfacet(&self, microfacet: Microfacet) -> Result<Material, String> {
-        let edited = with_model!(self, model => model.with_microfacet(microfacet).map(Material::from))?;
-        Ok(self.sampled_alike(edited))
+        let edited =
+            with_model!(&self.model, model => model.with_microfacet(microfacet).map(AnyModel::from))?;
+        Ok(Material::planned(edited, self.plan.clone()))
     }
 
-    /// See [`Model::with_latent`].
+    /// See [`Model::with_latent`]. The copy has a sampler of the same kind.
     ///
     /// # Errors
     /// See [`Model::with_latent`].
     pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, String> {
-        let edited = with_model!(self, model => model.with_latent(latent).map(Material::from))?;
-        Ok(self.sampled_alike(edited))
+        let edited = with_model!(&self.model, model => model.with_latent(latent).map(AnyModel::from))?;
+        Ok(Material::planned(edited, self.plan.clone()))
     }
 
-    /// See [`Model::mix`]. At the ends it is one of the two.
+    /// See [`Model::mix`]. At the ends it is one of the two; the copy has a sampler as this material has.
     ///
     /// # Errors
     /// See [`Model::mix`]; also for materials of two models and a share outside [0, 1].
     pub fn mix(&self, other: &Material, t: f32) -> Result<Material, String> {
-        fn mix<'a, M: Model + 'a>(a: &M, b: &'a Material, t: f32) -> Result<Material, String>
+        fn mix<'a, M: Model + 'a>(a: &M, b: &'a Material, t: f32) -> Result<AnyModel, String>
         where
             &'a M: TryFrom<&'a Material>,
-            Material: From<M>,
+            AnyModel: From<M>,
         {
             let same = b.try_into().map_err(|_| "are of two models, and only one model's mix".to_owned());
-            a.mix(same?, t).map(Material::from)
+            a.mix(same?, t).map(AnyModel::from)
         }
         match t {
             0.0 => Ok(self.clone()),
             1.0 => Ok(other.clone()),
             _ if t > 0.0 && t < 1.0 => {
-                Ok(self.sampled_alike(with_model!(self, model => mix(model, other, t))?))
+                let mixed = with_model!(&self.model, model => mix(model, other, t))?;
+                Ok(Material::planned(mixed, self.plan.clone()))
             }
             _ => Err(format!("are mixed with a weight of {t}, expected one in [0, 1]")),
         }
@@ -238,23 +261,23 @@ impl Material {
 
 impl Brdf for Material {
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        with_model!(self, model => model.eval(light, view))
+        with_model!(&self.model, model => model.eval(light, view))
     }
 
     fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        with_model!(self, model => model.eval_tile(light, view, out));
+        with_model!(&self.model, model => model.eval_tile(light, view, out));
     }
 
     fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
-        with_model!(self, model => model.eval_packet(light, view, out));
+        with_model!(&self.model, model => model.eval_packet(light, view, out));
     }
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
-        with_model!(self, model => model.eval_batch(light, view, out));
+        with_model!(&self.model, model => model.eval_batch(light, view, out));
     }
 
     fn has_data(&self, light: Vec3, view: Vec3) -> bool {
-        with_model!(self, model => model.has_data(light, view))
+        with_model!(&self.model, model => model.has_data(light, view))
     }
 }
 

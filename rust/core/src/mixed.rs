@@ -10,16 +10,16 @@ use std::sync::Arc;
 use crate::brdf::{Brdf, lit};
 use crate::dispatch;
 use crate::hybrid::{Hybrid, MAX_INPUTS};
-use crate::material::Material;
+use crate::material::{AnyModel, Material};
 use crate::network::{MAX_WIDTH, Rows};
 use crate::simd::{LANES, Lane3, Lanes, Real, Vector};
 
 /// Whether lanes of `a` and lanes of `b` can be in one tile.
 #[must_use]
 pub fn together(a: &Material, b: &Material) -> bool {
-    match (a, b) {
+    match (a.model(), b.model()) {
         _ if std::ptr::eq(a, b) => true,
-        (Material::Hybrid(a), Material::Hybrid(b)) => {
+        (AnyModel::Hybrid(a), AnyModel::Hybrid(b)) => {
             Arc::ptr_eq(a.network(), b.network()) && a.form() == b.form()
         }
         _ => false,
@@ -29,13 +29,12 @@ pub fn together(a: &Material, b: &Material) -> bool {
 /// f_r in every lane, of that lane's material: [`Brdf::eval_tile`] for materials of which each is
 /// [`together`] with the first. Fastest where lanes of one material are neighbours.
 pub fn eval_tile(materials: &[&Material; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
-    match materials[0] {
-        Material::Hybrid(first) if materials.iter().any(|m| !std::ptr::eq(*m, materials[0])) => {
-            let hybrids =
-                materials.map(|material| if let Material::Hybrid(m) = material { m } else { first });
+    match materials[0].model() {
+        AnyModel::Hybrid(first) if materials.iter().any(|m| !std::ptr::eq(*m, materials[0])) => {
+            let hybrids = materials.map(|m| if let AnyModel::Hybrid(m) = m.model() { m } else { first });
             eval_hybrids(&hybrids, light, view, out);
         }
-        first => first.eval_tile(light, view, out),
+        _ => materials[0].eval_tile(light, view, out),
     }
 }
 

@@ -3,18 +3,17 @@
 use crate::brdf::Brdf;
 use crate::microfacet::Microfacet;
 use crate::network::Network;
-use crate::sampler::Sampler;
+use crate::sampler::Plan;
 
 /// A model of reflectance: one file of this crate each, listed in [`crate::material`].
 pub trait Model: Brdf + Clone {
     /// The model's name as files and commands spell it.
     const KIND: &'static str;
 
-    /// The sampler.
-    fn sampler(&self) -> &Sampler;
-
-    /// Gives the material another sampler.
-    fn set_sampler(&mut self, sampler: Sampler);
+    /// How a material of this model is sampled where nothing else is asked for.
+    fn plan(&self) -> Plan {
+        Plan::Lobes
+    }
 
     /// Whether f is the same in every azimuth by construction.
     fn is_isotropic(&self) -> bool;
@@ -39,7 +38,7 @@ pub trait Model: Brdf + Clone {
         None
     }
 
-    /// The same material with other k_d, η and α, and a sampler for them.
+    /// The same material with other k_d, η and α.
     ///
     /// # Errors
     /// In words, a parameter out of range, or that the model has no analytic part.
@@ -47,7 +46,7 @@ pub trait Model: Brdf + Clone {
         Err(format!("a {} material has no kd, eta or alpha to edit", Self::KIND))
     }
 
-    /// The same material with another latent code, and a sampler for it.
+    /// The same material with another latent code.
     ///
     /// # Errors
     /// In words, a code of another length or not finite, or that the model has none.

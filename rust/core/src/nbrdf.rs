@@ -10,12 +10,10 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::kernel::{Kernel, splat3};
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::microfacet::Half;
 use crate::model::Model;
 use crate::network::{Network, One, Rows};
-use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Network inputs: h and d.
@@ -31,7 +29,6 @@ const MAX_OUTPUT: f32 = 20.7;
 pub struct Nbrdf {
     network: Arc<Network>,
     first_bias: Vec<Lane>,
-    sampler: Sampler,
 }
 
 impl Nbrdf {
@@ -48,10 +45,7 @@ impl Nbrdf {
             ));
         }
         let first_bias = network.fold(&[]);
-        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut nbrdf = Nbrdf { network, first_bias, sampler: lobes.into() };
-        nbrdf.sampler = Lobes::fit(&nbrdf, &PROXY_ALPHAS).into();
-        Ok(nbrdf)
+        Ok(Nbrdf { network, first_bias })
     }
 
     /// The material's network.
@@ -63,15 +57,6 @@ impl Nbrdf {
 
 impl Model for Nbrdf {
     const KIND: &'static str = "nbrdf";
-
-    /// A proxy that was fitted to the network.
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         true

@@ -15,11 +15,9 @@ use glam::{Mat3, Vec3};
 use crate::edit::{Albedos, Allowed, Black, Fitted, Origin, Room, Views, mix_latents};
 use crate::hybrid::check_bound;
 use crate::kernel::Kernel;
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
 use crate::network::{LARGEST_INPUT, Layer, Network, One, Rows, check_latent};
-use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
 /// Learned frames.
@@ -49,7 +47,6 @@ pub struct Neural {
     first_bias: Vec<Lane>,
     /// None if z is that of the fit.
     recoded: Option<Box<Recoded>>,
-    sampler: Sampler,
 }
 
 /// What makes a material with another code differ from a fitted one: f is multiplied by what there is room
@@ -100,16 +97,7 @@ impl Neural {
         check_bound(bound)?;
         let network = fold_frames(&shared, &latent)?;
         let first_bias = network.fold(&[]);
-        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let sampler = lobes.into();
-        let neural = Neural { shared, latent, bound, network, first_bias, recoded: None, sampler };
-        Ok(neural.sampled())
-    }
-
-    /// With the sampler that suits it.
-    fn sampled(mut self) -> Self {
-        self.sampler = Lobes::fit(&self, &PROXY_ALPHAS).into();
-        self
+        Ok(Neural { shared, latent, bound, network, first_bias, recoded: None })
     }
 
     /// The same network with another code, made of the material `fitted`, or that material itself.
@@ -129,7 +117,7 @@ impl Neural {
         };
         let room = Room::of(&Views::new(false, &VIEW_ALPHAS), &allowed, &Black, &neural);
         neural.recoded = Some(Box::new(Recoded { fitted, room }));
-        Ok(neural.sampled())
+        Ok(neural)
     }
 
     /// Between this material and another of the same network, with a share `t` in [0, 1] of the other: z and the
@@ -200,15 +188,6 @@ impl Neural {
 
 impl Model for Neural {
     const KIND: &'static str = "neural";
-
-    /// A proxy that was fitted to the network.
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         false

@@ -7,7 +7,8 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample};
-use crate::lobes::Lobes;
+use crate::lobes::{self, Lobes};
+use crate::model::Model;
 use crate::table_sampler::{Resolution, TableSampler};
 
 /// A map from random numbers to light directions that a measurement brings along.
@@ -23,8 +24,8 @@ pub trait DirectionSampler: fmt::Debug + Send + Sync {
 /// The sampler of a material. Whatever it is, its density is exact.
 #[derive(Clone, Debug)]
 pub enum Sampler {
-    /// A cosine lobe and a GGX lobe: no memory, the same formula in every renderer.
-    Lobes(Lobes),
+    /// GGX lobes and a cosine lobe: next to no memory, the same formula in every renderer.
+    Lobes(Arc<Lobes>),
     /// Tables of the reflectance itself: hundreds of kilobytes, and close to its shape.
     Table(Arc<TableSampler>),
     /// The measurement's own.
@@ -32,30 +33,10 @@ pub enum Sampler {
 }
 
 impl Sampler {
-    /// Its name as commands and scenes spell it.
-    #[must_use]
-    pub fn name(&self) -> &'static str {
-        match self {
-            Sampler::Lobes(_) => "lobes",
-            Sampler::Table(_) => "table",
-            Sampler::Warp(_) => "warp",
-        }
-    }
-
-    /// What to ask for to have it again; `None` for a measurement's own.
-    #[must_use]
-    pub fn choice(&self) -> Option<SamplerChoice> {
-        match self {
-            Sampler::Lobes(_) => Some(SamplerChoice::Lobes),
-            Sampler::Table(table) => Some(SamplerChoice::Table(table.resolution())),
-            Sampler::Warp(_) => None,
-        }
-    }
-
     /// The lobes, if it is made of them.
     #[must_use]
-    pub fn lobes(&self) -> Option<Lobes> {
-        if let Sampler::Lobes(lobes) = self { Some(*lobes) } else { None }
+    pub fn lobes(&self) -> Option<&Lobes> {
+        if let Sampler::Lobes(lobes) = self { Some(lobes) } else { None }
     }
 
     /// Density (sr⁻¹) of `light` given `view`.
@@ -73,9 +54,7 @@ impl Sampler {
     #[must_use]
     pub fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
         match self {
-            Sampler::Lobes(lobes) => {
-                lobes.sample_direction(view, u).map(|light| (light, lobes.pdf(light, view)))
-            }
+            Sampler::Lobes(lobes) => lobes.sample_direction(view, u),
             Sampler::Table(table) => table.sample_direction(view, u),
             Sampler::Warp(warp) => warp.sample_direction(view, u),
         }
@@ -93,7 +72,64 @@ impl Sampler {
 
 impl From<Lobes> for Sampler {
     fn from(lobes: Lobes) -> Self {
-        Sampler::Lobes(lobes)
+        Sampler::Lobes(Arc::new(lobes))
+    }
+}
+
+/// What a material's sampler is to be. It is made when it is first asked for: lobes take milliseconds, tables
+/// a quarter of a second, and many a material is never sampled.
+#[derive(Clone, Debug)]
+pub enum Plan {
+    /// [`Sampler::Lobes`].
+    Lobes,
+    /// [`Sampler::Table`].
+    Table(Resolution),
+    /// [`Sampler::Warp`].
+    Warp(Arc<dyn DirectionSampler>),
+}
+
+impl Plan {
+    /// The name of the sampler that it plans, as commands and scenes spell it.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        match self {
+            Plan::Lobes => "lobes",
+            Plan::Table(_) => "table",
+            Plan::Warp(_) => "warp",
+        }
+    }
+
+    /// What to ask for to have it again; `None` for a measurement's own.
+    #[must_use]
+    pub fn choice(&self) -> Option<SamplerChoice> {
+        match self {
+            Plan::Lobes => Some(SamplerChoice::Lobes),
+            Plan::Table(resolution) => Some(SamplerChoice::Table(*resolution)),
+            Plan::Warp(_) => None,
+        }
+    }
+
+    /// The sampler of `model`.
+    pub(crate) fn make(&self, model: &impl Model) -> Sampler {
+        match self {
+            Plan::Lobes => {
+                let candidates = lobes::candidates(model.microfacet().map(|microfacet| microfacet.alpha));
+                Lobes::fit(model, &candidates, model.is_isotropic()).into()
+            }
+            Plan::Table(resolution) => {
+                Sampler::Table(Arc::new(TableSampler::new(model, model.is_isotropic(), *resolution)))
+            }
+            Plan::Warp(warp) => Sampler::Warp(Arc::clone(warp)),
+        }
+    }
+}
+
+impl From<SamplerChoice> for Plan {
+    fn from(choice: SamplerChoice) -> Plan {
+        match choice {
+            SamplerChoice::Lobes => Plan::Lobes,
+            SamplerChoice::Table(resolution) => Plan::Table(resolution),
+        }
     }
 }
 

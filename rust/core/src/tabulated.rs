@@ -10,9 +10,9 @@ use glam::Vec3;
 use crate::brdf::Brdf;
 use crate::model::Model;
 use crate::oddity::Oddity;
-use crate::sampler::{DirectionSampler, Sampler};
+use crate::sampler::{DirectionSampler, Plan};
 use crate::simd::Lane3;
-use crate::table_sampler::{Resolution, TableSampler};
+use crate::table_sampler::Resolution;
 
 /// A table of measured reflectance.
 pub trait Table: Brdf + fmt::Debug {
@@ -34,26 +34,19 @@ pub trait Table: Brdf + fmt::Debug {
     fn oddities(&self) -> &[Oddity];
 }
 
-/// A measured material: the table, which its copies share, and a sampler.
+/// A measured material: the table, which its copies share, and the warp that may come with it.
 #[derive(Clone, Debug)]
 pub struct Tabulated {
     table: Arc<dyn Table>,
-    sampler: Sampler,
+    warp: Option<Arc<dyn DirectionSampler>>,
 }
 
 impl Tabulated {
     /// A material of `table`, sampled by the measurement's own `warp` or else by a
-    /// [`TableSampler`] that is made here.
+    /// [`TableSampler`](crate::table_sampler::TableSampler).
     #[must_use]
     pub fn new(table: Arc<dyn Table>, warp: Option<Arc<dyn DirectionSampler>>) -> Tabulated {
-        let sampler = match warp {
-            Some(warp) => Sampler::Warp(warp),
-            None => {
-                let made = TableSampler::new(&*table, table.is_isotropic(), Resolution::DEFAULT);
-                Sampler::Table(Arc::new(made))
-            }
-        };
-        Tabulated { table, sampler }
+        Tabulated { table, warp }
     }
 
     /// The table.
@@ -66,12 +59,8 @@ impl Tabulated {
 impl Model for Tabulated {
     const KIND: &'static str = "tabulated";
 
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
+    fn plan(&self) -> Plan {
+        self.warp.clone().map_or(Plan::Table(Resolution::DEFAULT), Plan::Warp)
     }
 
     fn is_isotropic(&self) -> bool {

@@ -43,7 +43,7 @@ pub fn open(path: &Path) -> Result<Library, Error> {
     };
     let entries = materials(&bytes).map_err(invalid)?.into_iter().map(|(name, material)| Entry {
         name,
-        material: Material::Analytic(material),
+        material: Material::from(material),
         origin: origin.clone(),
     });
     Ok(Library::new(path, entries.collect())?)

@@ -4,7 +4,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use glimt_core::library::{Entry, Origin};
-use glimt_core::{Library, Material};
+use glimt_core::{AnyModel, Library, Material};
 use glimt_measured::Measured;
 use glimt_measured::file::{open_regular, read_regular};
 use sha2::{Digest, Sha256};
@@ -95,8 +95,8 @@ impl Source {
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
-            Source::Library(library) => match &library.entries()[0].material {
-                Material::Tabulated(tabulated) => tabulated.table().format(),
+            Source::Library(library) => match library.entries()[0].material.model() {
+                AnyModel::Tabulated(tabulated) => tabulated.table().format(),
                 _ => library.kind().name(),
             },
             Source::Samples { .. } => "samples",
@@ -148,7 +148,7 @@ fn single(path: &Path, name: String, material: Material, origin: Origin) -> Resu
 
 /// NBRDF weights as a library of one material.
 fn open_nbrdf(path: &Path) -> Result<Source, Error> {
-    let material = Material::Nbrdf(nbrdf::open(path)?);
+    let material = Material::from(nbrdf::open(path)?);
     let source = file_name(path);
     let origin = Origin { source, sha256: sha256(path)?, command: "import".into(), ..Origin::default() };
     single(path, nbrdf::name(path), material, origin)

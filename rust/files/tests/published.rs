@@ -56,7 +56,7 @@ fn ggx() -> Ggx {
 fn measurement_answers_by_its_name_only() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("chm_orange_rgb.bsdf");
-    glimt_measured::write_rgl(&path, &ggx(), true, "a test").unwrap();
+    glimt_measured::write_rgl(&path, &ggx(), true, Default::default(), "a test").unwrap();
     let source = Source::open(path).unwrap();
     assert_eq!((source.kind(), source.names()), ("rgl", vec!["chm_orange".to_owned()]));
     assert!(source.brdf(Some("chm_orange")).is_ok());

@@ -1,10 +1,10 @@
 //! New materials for a finished library: the network stays, z, k_d, η and α are fitted (the paper,
 //! §4.2, "sparse training").
 
-use glimt_core::Material;
 use glimt_core::features::Inputs;
 use glimt_core::hybrid::Hybrid;
 use glimt_core::library::{Entry, Library, Origin};
+use glimt_core::{AnyModel, Material};
 use serde::Deserialize;
 
 use crate::analytic;
@@ -38,10 +38,10 @@ pub fn add(
     seed: u64,
     watch: &mut Watch,
 ) -> Result<Option<Vec<Entry>>, Error> {
-    let first = match &library.entries()[0].material {
-        Material::Hybrid(material) if !material.latent().is_empty() && library.shares_network() => material,
-        other => {
-            let kind = other.kind();
+    let first = match library.entries()[0].material.model() {
+        AnyModel::Hybrid(material) if !material.latent().is_empty() && library.shares_network() => material,
+        _ => {
+            let kind = library.kind();
             let reason = format!(
                 "{} holds {kind} materials without a shared network and latent codes, so none can be added; fit them anew",
                 library.path().display()
@@ -100,7 +100,7 @@ pub fn add(
     let materials = materials.map_err(|_| Error::Diverged { step: steps })?;
     let entry = |(input, material): (&Input, Material)| {
         // The library's own network, not an equal one: the file then stores it once.
-        let Material::Hybrid(made) = material else { unreachable!("hybrid_materials makes hybrids") };
+        let AnyModel::Hybrid(made) = material.model() else { unreachable!("hybrid_materials makes hybrids") };
         let material = Hybrid::new(
             form,
             first.network().clone(),
@@ -111,7 +111,7 @@ pub fn add(
         .expect("the same network and numbers made a material before");
         let recipe = Some(to_json(&recipe));
         let origin = Origin { seed: Some(seed), steps: Some(steps), recipe, ..input.origin.clone() };
-        Entry { name: input.name.clone(), material: Material::Hybrid(material), origin }
+        Entry { name: input.name.clone(), material: material.into(), origin }
     };
     Ok(Some(inputs.iter().zip(materials).map(entry).collect()))
 }

@@ -96,7 +96,7 @@ pub fn fit(
             let Some(p) = fit_analytic(&truths, *loss, isotropic, schedule, watch)? else {
                 return stopped(None);
             };
-            p.iter().map(|p| Ggx::new(analytic::to_parameters(p)).map(Material::Ggx)).collect()
+            p.iter().map(|p| Ggx::new(analytic::to_parameters(p)).map(Material::from)).collect()
         }
         Model::Hybrid(hybrid) => {
             let objective = hybrid.objective(isotropic);
@@ -130,7 +130,7 @@ pub fn fit(
         }
         Model::Spherical(spherical) => match fit_spherical(spherical, &truths, schedule, resumed, watch)? {
             SphericalEnd::Stopped(state) => return stopped(Some(state)),
-            SphericalEnd::Done(made) => Ok(made.into_iter().map(Material::Spherical).collect()),
+            SphericalEnd::Done(made) => Ok(made.into_iter().map(Material::from).collect()),
         },
     };
     let materials: Vec<Material> = made.map_err(|_| Error::Diverged { step: schedule.steps })?;
@@ -384,7 +384,7 @@ pub(crate) fn hybrid_materials(
             let network = library.clone().map_or_else(|| network(parts.network), Ok)?;
             let bound = objective.largest_residual(shared, own, &judge.look(truth).0) + BOUND_MARGIN;
             let p = analytic::to_parameters(parts.p);
-            Hybrid::new(objective.form, network, p, parts.z.to_vec(), bound).map(Material::Hybrid)
+            Hybrid::new(objective.form, network, p, parts.z.to_vec(), bound).map(Material::from)
         })
         .collect()
 }
@@ -402,7 +402,7 @@ fn neural_materials(
         .zip(truths)
         .map(|(z, &truth)| {
             let bound = objective.largest_output(shared, z, &judge.look(truth).0) + BOUND_MARGIN;
-            Neural::new(made.clone(), z.to_vec(), bound).map(Material::Neural)
+            Neural::new(made.clone(), z.to_vec(), bound).map(Material::from)
         })
         .collect()
 }

@@ -11,7 +11,7 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
 use glimt_core::simd::{LANES, Lane3};
-use glimt_core::{Brdf, lobes::Lobes};
+use glimt_core::{Brdf, lobes::VisibleNormals};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
@@ -118,9 +118,9 @@ fn pair(drawing: Drawing, u: [f32; 5]) -> (Vec3, Vec3, f32) {
     };
     let light = if u[2] < share {
         let turn = ((u[2] / share * LOBE_ALPHAS.len() as f32) as usize).min(LOBE_ALPHAS.len() - 1);
-        let lobe = Lobes { alpha: [LOBE_ALPHAS[turn]; 2], specular_weight: 1.0 };
+        let lobe = VisibleNormals { alpha: [LOBE_ALPHAS[turn]; 2] };
         // A light below the horizon carries nothing; the pair counts 0.
-        match lobe.sample_direction(view, Vec3::new(0.0, u[3], u[4])) {
+        match lobe.sample_direction(view, [u[3], u[4]]) {
             Some(light) => light,
             None => return (Vec3::Z, view, 0.0),
         }
@@ -131,8 +131,7 @@ fn pair(drawing: Drawing, u: [f32; 5]) -> (Vec3, Vec3, f32) {
         return (light, view, 1.0);
     }
     let diffuse = light.z * FRAC_1_PI;
-    let specular: f32 =
-        LOBE_ALPHAS.iter().map(|&a| Lobes { alpha: [a; 2], specular_weight: 1.0 }.pdf(light, view)).sum();
+    let specular: f32 = LOBE_ALPHAS.iter().map(|&a| VisibleNormals { alpha: [a; 2] }.pdf(light, view)).sum();
     let pdf = (1.0 - share) * diffuse + share * specular / LOBE_ALPHAS.len() as f32;
     (light, view, view_weight * diffuse / pdf + TIP_WEIGHT)
 }

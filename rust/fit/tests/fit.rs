@@ -10,7 +10,7 @@ use glimt_core::ggx::Ggx;
 use glimt_core::hybrid::Composition;
 use glimt_core::library::{Entry, Library, Origin};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::{Brdf, Material, is_lit};
+use glimt_core::{AnyModel, Brdf, is_lit};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::loss::Loss;
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
@@ -312,7 +312,7 @@ fn what_cannot_be_fitted_is_refused() {
     let odd = HybridOptions { net: Net { width: 20, layers: 2 }, ..good };
     assert!(refused(&velvets(), odd).contains("20x2"));
     assert!(refused(&velvets(), HybridOptions { latent: 0, ..good }).contains("latent code of 0"));
-    assert!(matches!(finish(&velvets()[..1], &hybrid(good, 10))[0].material, Material::Hybrid(_)));
+    assert!(matches!(finish(&velvets()[..1], &hybrid(good, 10))[0].material.model(), AnyModel::Hybrid(_)));
 }
 
 /// 448 samples, as a goniometer that goes round once for each of seven views gives them.

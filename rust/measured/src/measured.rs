@@ -69,10 +69,10 @@ impl Measured {
     }
 
     /// As a material that renderers hold: RGL files are sampled by their own warps, the others by
-    /// tables, which are made here.
+    /// tables.
     #[must_use]
     pub fn into_material(self) -> Material {
-        Material::Tabulated(match self {
+        Material::from(match self {
             Measured::Merl(merl) => Tabulated::new(Arc::new(merl), None),
             Measured::Utia(utia) => Tabulated::new(Arc::new(utia), None),
             Measured::Rgl(rgl) => {

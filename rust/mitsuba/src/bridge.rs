@@ -7,9 +7,10 @@ use std::time::SystemTime;
 
 use glimt_core::edit::Room;
 use glimt_core::library::{Entry, mix_name};
-use glimt_core::lobes::Lobes;
-use glimt_core::sampler::SamplerChoice;
-use glimt_core::{Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network};
+use glimt_core::sampler::{Plan, SamplerChoice};
+use glimt_core::{
+    AnyModel, Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network,
+};
 use glimt_disk::printable;
 use glimt_files::Source;
 
@@ -57,10 +58,12 @@ mod ffi {
         alpha: [f32; 2],
     }
 
-    /// The sampler, see `lobes.rs` of the core.
+    /// The sampler, see `lobes/` of the core.
     struct Lobes {
-        alpha: [f32; 2],
-        specular_weight: f32,
+        /// α_x and α_y of every GGX lobe.
+        alpha: Vec<f32>,
+        /// At each knot the shares of the GGX lobes and that of the cosine lobe.
+        shares: Vec<f32>,
     }
 
     /// A sampled light direction, its density and f · cosθ / pdf.
@@ -125,7 +128,7 @@ mod ffi {
         fn traced_models() -> String;
         /// Whether the sampler is made of `lobes`, and can be traced elsewhere.
         fn has_lobes(&self) -> bool;
-        /// The lobes, or cosine-distributed ones where the sampler is something else.
+        /// The lobes, or nothing where the sampler is something else.
         fn lobes(&self) -> Lobes;
         /// Name of the sampler.
         fn sampler(&self) -> &str;
@@ -245,11 +248,11 @@ impl Material {
     }
 
     fn description(&self) -> String {
-        let kind = match &self.material {
-            glimt_core::Material::Tabulated(tabulated) => {
+        let kind = match self.material.model() {
+            AnyModel::Tabulated(tabulated) => {
                 return format!("{} ({})", self.material.kind(), tabulated.table().format());
             }
-            fitted => fitted.kind().name(),
+            _ => self.material.kind().name(),
         };
         let Some(network) = self.material.network() else { return kind.to_owned() };
         let layers = network.layers();
@@ -269,8 +272,8 @@ impl Material {
             fitted: self.microfacet(),
             frames: ffi::Layer { weight: Vec::new(), bias: Vec::new() },
         };
-        match &self.material {
-            glimt_core::Material::Hybrid(m) => ffi::Model {
+        match self.material.model() {
+            AnyModel::Hybrid(m) => ffi::Model {
                 network: m.network().as_ref().into(),
                 bound: m.bound(),
                 inputs: m.form().inputs.into(),
@@ -279,19 +282,19 @@ impl Material {
                 fitted: m.fitted_microfacet().into(),
                 ..model
             },
-            glimt_core::Material::Neural(m) => ffi::Model {
+            AnyModel::Neural(m) => ffi::Model {
                 network: (&m.shared().network).into(),
                 bound: m.bound(),
                 frames: (&m.shared().frames).into(),
                 ..model
             },
-            glimt_core::Material::Nbrdf(m) => ffi::Model { network: m.network().as_ref().into(), ..model },
+            AnyModel::Nbrdf(m) => ffi::Model { network: m.network().as_ref().into(), ..model },
             // The microfacet model is all parameters. Of what is not traced, nothing needs to cross.
-            glimt_core::Material::Ggx(_)
-            | glimt_core::Material::Factor(_)
-            | glimt_core::Material::Tabulated(_)
-            | glimt_core::Material::Analytic(_)
-            | glimt_core::Material::Spherical(_) => model,
+            AnyModel::Ggx(_)
+            | AnyModel::Factor(_)
+            | AnyModel::Tabulated(_)
+            | AnyModel::Analytic(_)
+            | AnyModel::Spherical(_) => model,
         }
     }
 
@@ -309,9 +312,9 @@ impl Material {
     }
 
     fn room(&self) -> &[f32] {
-        let room = match &self.material {
-            glimt_core::Material::Hybrid(hybrid) => hybrid.edit().map(|edit| &edit.room),
-            glimt_core::Material::Neural(neural) => neural.recoding().map(|recoded| &recoded.room),
+        let room = match self.material.model() {
+            AnyModel::Hybrid(hybrid) => hybrid.edit().map(|edit| &edit.room),
+            AnyModel::Neural(neural) => neural.recoding().map(|recoded| &recoded.room),
             _ => None,
         };
         room.unwrap_or(&Room::ALL).shares()
@@ -322,17 +325,26 @@ impl Material {
     }
 
     fn has_lobes(&self) -> bool {
-        self.material.sampler().lobes().is_some()
+        matches!(self.material.plan(), Plan::Lobes)
     }
 
     fn lobes(&self) -> ffi::Lobes {
-        let cosine = Lobes { alpha: [1.0; 2], specular_weight: 0.0 };
-        let Lobes { alpha, specular_weight } = self.material.sampler().lobes().unwrap_or(cosine);
-        ffi::Lobes { alpha, specular_weight }
+        let none = ffi::Lobes { alpha: Vec::new(), shares: Vec::new() };
+        // A sampler of another kind is not made to learn that it has none.
+        if !self.has_lobes() {
+            return none;
+        }
+        guarded(none, || {
+            let lobes = self.material.sampler().lobes().expect("the plan is kept");
+            ffi::Lobes {
+                alpha: lobes.alpha().as_flattened().to_vec(),
+                shares: lobes.shares().as_flattened().to_vec(),
+            }
+        })
     }
 
     fn sampler(&self) -> &str {
-        self.material.sampler().name()
+        self.material.plan().name()
     }
 
     fn is_isotropic(&self) -> bool {

@@ -49,7 +49,7 @@ impl Material {
         sampler: Option<SamplerChoice>,
     ) -> Result<Material, glimt_files::Error> {
         let Entry { name, material, .. } = source.library()?.entry(name)?;
-        let other = sampler.filter(|choice| material.sampler().choice() != Some(*choice));
+        let other = sampler.filter(|choice| material.plan().choice() != Some(*choice));
         let material = other.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
         Ok(Material { name: name.clone(), kind: source.kind(), material, file: file.clone() })
     }
@@ -141,20 +141,20 @@ impl Material {
     /// Name of the sampler: "lobes", "table" or "warp".
     #[getter]
     fn sampler(&self) -> &'static str {
-        self.material.sampler().name()
+        self.material.plan().name()
     }
 
     /// Bytes of the sampler's tables; 0 for lobes and for a measurement's own warp.
     #[getter]
-    fn sampler_bytes(&self) -> usize {
-        if let Sampler::Table(table) = self.material.sampler() { table.bytes() } else { 0 }
+    fn sampler_bytes(&self, py: Python) -> usize {
+        py.detach(|| if let Sampler::Table(table) = self.material.sampler() { table.bytes() } else { 0 })
     }
 
-    /// A copy with another sampler, made for it now: "lobes", "table", "table:paper" or
-    /// "table:VIEWSxRINGSxSECTORS".
-    fn with_sampler(&self, py: Python, sampler: &str) -> PyResult<Material> {
+    /// A copy with another sampler: "lobes", "table", "table:paper" or "table:VIEWSxRINGSxSECTORS". It is
+    /// made when it is first asked for.
+    fn with_sampler(&self, sampler: &str) -> PyResult<Material> {
         let choice = parse_sampler(sampler)?;
-        Ok(self.changed(py.detach(|| self.material.with_sampler(choice))))
+        Ok(self.changed(self.material.with_sampler(choice)))
     }
 
     /// f_r(light, view) in 1/sr, linear RGB, without the cosine.
@@ -235,7 +235,7 @@ impl Material {
         let material = self.material.clone();
         let entry = Entry { name: self.name.clone(), material, origin: Origin::default() };
         let alone = glimt_core::Library::new(self.file.path(), vec![entry]).map_err(error)?;
-        let sampler = self.material.sampler().choice();
+        let sampler = self.material.plan().choice();
         Ok((
             get_item,
             (Library { source: Source::Library(alone), file: self.file.clone(), sampler }, &self.name),

@@ -16,7 +16,7 @@ use glimt_core::features::MAX_FEATURES;
 use glimt_core::hybrid::Hybrid;
 use glimt_core::math::{exp, sigmoid};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::{Brdf, Library, Material, is_lit};
+use glimt_core::{AnyModel, Brdf, Library, Material, is_lit};
 use glimt_report::study::light::Light;
 use glimt_report::study::sphere::LitSphere;
 
@@ -104,7 +104,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut pixels = Vec::new();
     for name in MATERIALS {
         let material = library.material(Some(name))?;
-        let Material::Hybrid(fitted) = material else { return Err(format!("{name} is no hybrid").into()) };
+        let AnyModel::Hybrid(fitted) = material.model() else {
+            return Err(format!("{name} is no hybrid").into());
+        };
         for rule in rules {
             let mut row = vec![[0u8; 3]; SIZE * width];
             let mut show = |column: usize, brdf: &Material, shown: &dyn Brdf| {

@@ -16,7 +16,7 @@ use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::nbrdf::{self, Nbrdf};
 use glimt_core::neural::{self, Neural, Shared};
 use glimt_core::sampler::SamplerChoice;
-use glimt_core::{Kind, Library, Material};
+use glimt_core::{AnyModel, Kind, Library, Material};
 
 use crate::measurements;
 use crate::stability::{nudged_layer, nudged_network};
@@ -142,12 +142,12 @@ pub fn materials_of_every_kind() -> Vec<Case> {
 /// none, and tables that are constant in each bin, whose error at an edge is that of the bin.
 #[must_use]
 pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64; 3]> {
-    let f = match material {
-        Material::Ggx(m) => microfacet::reference::eval(m.microfacet(), light.into(), view.into()),
-        Material::Hybrid(m) => hybrid::reference::eval(m, light, view),
-        Material::Neural(m) => neural::reference::eval(m, light, view),
-        Material::Nbrdf(m) => nbrdf::reference::eval(m, light, view),
-        Material::Factor(m) => {
+    let f = match material.model() {
+        AnyModel::Ggx(m) => microfacet::reference::eval(m.microfacet(), light.into(), view.into()),
+        AnyModel::Hybrid(m) => hybrid::reference::eval(m, light, view),
+        AnyModel::Neural(m) => neural::reference::eval(m, light, view),
+        AnyModel::Nbrdf(m) => nbrdf::reference::eval(m, light, view),
+        AnyModel::Factor(m) => {
             let form = m.form();
             if form.variant == Variant::Naive || form.interpolation == Interpolation::Nearest {
                 return None;
@@ -156,9 +156,9 @@ pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64;
         }
         // The pixel of a direction is found in float32. Beside an edge, where catalogues look, the reference may be
         // in the next one, where f is as good but not the same; away from edges the model's own tests compare them.
-        Material::Spherical(_) => return None,
+        AnyModel::Spherical(_) => return None,
         // A measurement is the table that it is, and these are evaluated in float64 themselves.
-        Material::Tabulated(_) | Material::Analytic(_) => return None,
+        AnyModel::Tabulated(_) | AnyModel::Analytic(_) => return None,
     };
     Some(f)
 }
@@ -172,22 +172,22 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
         eta: m.eta.map(&mut *nudge).map(|eta| eta.clamp(ETA_RANGE[0], ETA_RANGE[1])),
         alpha: m.alpha.map(&mut *nudge).map(|alpha| alpha.clamp(MIN_ALPHA, 1.0)),
     };
-    let nudged: Result<Material, String> = match material {
-        Material::Ggx(m) => Ggx::new(nudged_microfacet(m.microfacet(), nudge)).map(Material::from),
-        Material::Hybrid(m) => {
+    let nudged: Result<Material, String> = match material.model() {
+        AnyModel::Ggx(m) => Ggx::new(nudged_microfacet(m.microfacet(), nudge)).map(Material::from),
+        AnyModel::Hybrid(m) => {
             let network = Arc::new(nudged_network(m.network(), nudge));
             let microfacet = nudged_microfacet(m.microfacet(), nudge);
             let latent = m.latent().iter().map(|&z| nudge(z)).collect();
             Hybrid::new(m.form(), network, microfacet, latent, m.bound()).map(Material::from)
         }
-        Material::Neural(m) => {
+        AnyModel::Neural(m) => {
             let network = nudged_network(&m.shared().network, nudge);
             let shared = Shared { network, frames: nudged_layer(&m.shared().frames, nudge) };
             let latent = m.latent().iter().map(|&z| nudge(z)).collect();
             Neural::new(Arc::new(shared), latent, m.bound()).map(Material::from)
         }
-        Material::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
-        Material::Factor(_) | Material::Analytic(_) | Material::Tabulated(_) | Material::Spherical(_) => {
+        AnyModel::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
+        AnyModel::Factor(_) | AnyModel::Analytic(_) | AnyModel::Tabulated(_) | AnyModel::Spherical(_) => {
             return None;
         }
     };

@@ -18,7 +18,7 @@ use glimt_core::spherical::pixelation::Pixelation;
 use glimt_core::spherical::store::Store;
 use glimt_core::spherical::tables::{self, Grids, Interpolation, Layout};
 use glimt_core::spherical::{Features, Spherical};
-use glimt_core::{Kind, Material};
+use glimt_core::{AnyModel, Kind, Material};
 use glimt_fit::Net;
 use glimt_measured::{Measured, Merl, merl};
 use rand::{RngExt, SeedableRng};
@@ -35,9 +35,9 @@ pub struct Case {
 
 impl Case {
     pub fn new(material: Material) -> Self {
-        let multiply_adds = match &material {
+        let multiply_adds = match material.model() {
             // Frames and latent code are folded into the network that runs.
-            Material::Neural(neural) => neural.folded_network().multiply_adds(),
+            AnyModel::Neural(neural) => neural.folded_network().multiply_adds(),
             _ => material.network().map_or(0, Network::multiply_adds),
         };
         Case { material, multiply_adds, training: None }

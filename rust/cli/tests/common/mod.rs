@@ -21,7 +21,7 @@ impl Folder {
         let materials = [("orange", [0.6, 0.3, 0.1]), ("mint", [0.3, 0.7, 0.5]), ("grey", [0.2; 3])];
         let entries = materials.map(|(name, kd)| Entry {
             name: name.to_owned(),
-            material: Material::Ggx(ggx(kd)),
+            material: Material::from(ggx(kd)),
             origin: Origin { source: format!("{name}.bsdf"), ..Origin::default() },
         });
         Library::new(folder.path("lib.safetensors"), entries.to_vec()).unwrap().save().unwrap();

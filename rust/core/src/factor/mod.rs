@@ -17,9 +17,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::model::Model;
-use crate::sampler::Sampler;
 use lookup::Tables;
 
 /// Bins of √θ_h over 0° to 90°.
@@ -160,7 +158,6 @@ pub struct Factor {
     factors: Arc<Factors>,
     interpolation: Interpolation,
     tables: Arc<Tables>,
-    sampler: Sampler,
 }
 
 impl Factor {
@@ -171,10 +168,7 @@ impl Factor {
     pub fn new(factors: Factors, interpolation: Interpolation) -> Result<Self, String> {
         factors.validate()?;
         let tables = Arc::new(Tables::new(&factors));
-        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut factor = Factor { factors: Arc::new(factors), interpolation, tables, sampler: lobes.into() };
-        factor.sampler = Lobes::fit(&factor, &PROXY_ALPHAS).into();
-        Ok(factor)
+        Ok(Factor { factors: Arc::new(factors), interpolation, tables })
     }
 
     /// The material's numbers.
@@ -198,15 +192,6 @@ impl Factor {
 
 impl Model for Factor {
     const KIND: &'static str = "factor";
-
-    /// A proxy that was fitted to the tables.
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         true

@@ -149,7 +149,8 @@ impl Library {
             if architecture(&entry.material) != architecture(first) {
                 return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
             }
-            let together = with_model!(first, first => first.check_together(model_of(&entry.material)));
+            let together =
+                with_model!(first.model(), first => first.check_together(model_of(&entry.material)));
             together.map_err(|e| format!("\"{}\" and \"{}\" {e}", self.entries[0].name, entry.name))?;
         }
         Ok(())
@@ -319,7 +320,7 @@ impl Library {
         {
             M::encode(&entries.iter().map(|entry| model_of(&entry.material)).collect::<Vec<_>>())
         }
-        with_model!(&self.entries[0].material, first => encode(first, &self.entries))
+        with_model!(self.entries[0].material.model(), first => encode(first, &self.entries))
     }
 }
 
@@ -332,7 +333,7 @@ where
 }
 
 fn form(material: &Material) -> Option<Value> {
-    with_model!(material, model => Codec::form(model))
+    with_model!(material.model(), model => Codec::form(model))
 }
 
 fn activation(material: &Material) -> Option<Activation> {
@@ -443,7 +444,7 @@ mod tests {
     fn hybrid(network: &Arc<Network>, alpha: [f32; 2], z: f32) -> Material {
         let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
         let microfacet = Microfacet { alpha, ..PARAMETERS };
-        Material::Hybrid(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
+        Material::from(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
     }
 
     fn two(a: Material, b: Material) -> Vec<Entry> {
@@ -455,7 +456,7 @@ mod tests {
     fn libraries_of(kind: Kind, activation: Activation) -> Vec<Vec<Entry>> {
         match kind {
             Kind::Ggx => {
-                let ggx = |alpha| Material::Ggx(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
+                let ggx = |alpha| Material::from(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
                 vec![two(ggx([0.1; 2]), ggx([0.1, 0.3]))]
             }
             Kind::Hybrid => {

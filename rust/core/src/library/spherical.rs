@@ -343,7 +343,7 @@ mod tests {
     fn library(folder: &tempfile::TempDir, materials: Vec<Spherical>) -> Library {
         let entry = |(i, material)| Entry {
             name: format!("material {i}"),
-            material: Material::Spherical(material),
+            material: Material::from(material),
             origin: Origin::default(),
         };
         let entries = materials.into_iter().enumerate().map(entry).collect();

@@ -23,11 +23,9 @@ use std::sync::Arc;
 use glam::Vec3;
 
 use crate::kernel::{Kernel, splat3};
-use crate::lobes::{Lobes, PROXY_ALPHAS};
 use crate::math::exp;
 use crate::model::Model;
 use crate::network::{Network, One, Rows};
-use crate::sampler::Sampler;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 use look_up::MAX_INPUTS;
 use products::{FirstLayer, Products};
@@ -103,7 +101,6 @@ pub struct Spherical {
     /// The first layer of each, where that is worth its memory.
     products: Option<Products>,
     first_bias: Vec<Lane>,
-    sampler: Sampler,
 }
 
 impl Spherical {
@@ -141,20 +138,7 @@ impl Spherical {
         let entries: Vec<u32> = layout.rows().iter().map(|&row| of_row[kept(row) as usize]).collect();
         let first_bias = network.fold(&[]);
         let products = Products::new(&layout, &network, &values, &entries);
-        let lobes = Lobes { alpha: PROXY_ALPHAS[0], specular_weight: 0.5 };
-        let mut material = Spherical {
-            layout,
-            network,
-            features,
-            bound,
-            values,
-            entries,
-            products,
-            first_bias,
-            sampler: lobes.into(),
-        };
-        material.sampler = Lobes::fit(&material, &PROXY_ALPHAS).into();
-        Ok(material)
+        Ok(Spherical { layout, network, features, bound, values, entries, products, first_bias })
     }
 
     /// The tables.
@@ -184,15 +168,6 @@ impl Spherical {
 
 impl Model for Spherical {
     const KIND: &'static str = "spherical";
-
-    /// A proxy that was fitted to the model.
-    fn sampler(&self) -> &Sampler {
-        &self.sampler
-    }
-
-    fn set_sampler(&mut self, sampler: Sampler) {
-        self.sampler = sampler;
-    }
 
     fn is_isotropic(&self) -> bool {
         self.layout.form().grids == Grids::Iso

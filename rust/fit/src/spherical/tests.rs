@@ -10,7 +10,7 @@ use glimt_core::library::Origin;
 use glimt_core::microfacet::Microfacet;
 use glimt_core::spherical::pixelation::Pixelation;
 use glimt_core::spherical::tables::{Form, Grids, Interpolation};
-use glimt_core::{Brdf, Material};
+use glimt_core::{AnyModel, Brdf, Material};
 use std::ops::ControlFlow;
 
 const GRIDS: [Grids; 3] = [Grids::Lv, Grids::Hd, Grids::Iso];
@@ -331,7 +331,7 @@ fn a_fit_to_448_samples_is_finite_smooth_and_near_them() {
     let inputs = [input("sparse", Truth::Samples { light: &light, view: &view, f: &f })];
     for grids in GRIDS {
         let model = fitted(&inputs, &options(grids, StoreKind::I8, 500)).remove(0);
-        let Material::Spherical(spherical) = &model else { panic!("another model") };
+        let AnyModel::Spherical(spherical) = model.model() else { panic!("another model") };
         assert!(spherical.features().links.is_some(), "{grids:?}: nothing was pruned");
         let at_samples = light.iter().zip(&view).zip(&f).map(|((&l, &v), f)| {
             let error = (model.eval(l, v) - *f).abs() / (*f + 0.01);

@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use glam::Vec3;
-use glimt_core::lobes::{Lobes, PROXY_ALPHAS};
+use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Brdf, Material, SampleBrdf};
 
 use super::sequence::Sequence;
@@ -50,15 +50,12 @@ impl AlbedoProbes {
     /// Draws them.
     #[must_use]
     pub fn new(truth: &Material, seed: u64) -> Self {
-        let lobes = Lobes::fit(truth, &PROXY_ALPHAS);
+        let lobes = truth.with_sampler(SamplerChoice::Lobes);
         let probes = |(stream, degrees): (usize, f64)| {
             let view = in_plane(-f64::to_radians(degrees));
             let draw = |(i, u): (usize, Vec3)| {
-                let light = if i % 2 == 0 {
-                    truth.sampler().sample_direction(view, u)?.0
-                } else {
-                    lobes.sample_direction(view, u)?
-                };
+                let drawn = if i % 2 == 0 { truth } else { &lobes };
+                let (light, _) = drawn.sampler().sample_direction(view, u)?;
                 let pdf = 0.5 * (truth.pdf(light, view) + lobes.pdf(light, view));
                 (pdf > 0.0).then(|| (light, light.z / (pdf * ALBEDO_LIGHTS as f32)))
             };

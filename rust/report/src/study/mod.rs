@@ -282,14 +282,14 @@ impl<'a> Bench<'a> {
         use glimt_core::sampler::SamplerChoice::{Lobes, Table};
         let seed = self.settings.seed;
         let of = |material: &Material| variance(material, Chosen::By(material), NOISE_SIZE, seed);
-        let own = self.truth.sampler().name().to_owned();
+        let own = self.truth.plan().name().to_owned();
         let mut variances = BTreeMap::from([
             ("cosine".to_owned(), variance(self.truth, Chosen::Cosine, NOISE_SIZE, seed)),
             (own, of(self.truth)),
         ]);
         for choice in [Lobes, Table(glimt_core::table_sampler::Resolution::DEFAULT)] {
             let material = self.truth.with_sampler(choice);
-            variances.entry(material.sampler().name().to_owned()).or_insert_with(|| of(&material));
+            variances.entry(material.plan().name().to_owned()).or_insert_with(|| of(&material));
         }
         variances
     }

@@ -4,7 +4,7 @@
 //! their reflectance, and hardly ever noise. How much noise there is, a second seed tells.
 
 use glam::Vec3;
-use glimt_core::lobes::{Lobes, PROXY_ALPHAS};
+use glimt_core::sampler::SamplerChoice;
 use glimt_core::{Brdf, Material, SampleBrdf, is_lit};
 use glimt_image::{Image, Rgb};
 use rayon::prelude::*;
@@ -27,7 +27,7 @@ impl LitSphere {
     /// A sphere of `size` pixels across, with `directions` a pixel where the light has to be sampled.
     #[must_use]
     pub fn new(truth: &Material, light: &Light, size: usize, directions: usize, seed: u64) -> Self {
-        let guide = Guide { truth, lobes: Lobes::fit(truth, &PROXY_ALPHAS), light };
+        let guide = Guide { truth, lobes: truth.with_sampler(SamplerChoice::Lobes), light };
         let rows: Vec<LitSphere> = (0..size)
             .into_par_iter()
             .map(|y| {
@@ -130,7 +130,8 @@ impl Frame {
 /// Where light is looked for.
 struct Guide<'a> {
     truth: &'a Material,
-    lobes: Lobes,
+    /// The truth, sampled by lobes.
+    lobes: Material,
     light: &'a Light,
 }
 
@@ -139,7 +140,7 @@ struct Guide<'a> {
 enum Turn {
     /// As the truth is sampled.
     Truth,
-    /// By a cosine and a GGX lobe: every direction has a density.
+    /// By lobes of which one is the cosine: every direction has a density.
     Lobes,
     /// By the luminance of the environment.
     Environment,
@@ -158,7 +159,7 @@ impl Guide<'_> {
         let turns = self.turns();
         let light = match turns[i % turns.len()] {
             Turn::Truth => self.truth.sampler().sample_direction(view, u)?.0,
-            Turn::Lobes => self.lobes.sample_direction(view, u)?,
+            Turn::Lobes => self.lobes.sampler().sample_direction(view, u)?.0,
             Turn::Environment => frame.to_local(self.light.environment()?.sample(u.to_array())),
         };
         if !is_lit(light, view) {
