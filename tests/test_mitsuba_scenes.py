@@ -11,7 +11,6 @@ from conftest import ROOT
 from mitsuba_common import mi
 
 SCENES = ROOT / "scenes"
-LIBRARY = SCENES / "models" / "rgl.safetensors"
 MEASUREMENT = ROOT.parent / "shared" / "data" / "rgl" / "chm_orange_rgb.bsdf"
 
 

@@ -317,3 +317,20 @@ pub fn common_threshold<'a>(findings: impl Iterator<Item = &'a Finding>, signifi
     let count = findings.filter(|f| matches!(f.measure, Measure::Statistic { .. })).count();
     (count, threshold(significance, count))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_measurement_says_against_physics_is_of_the_file_and_of_others_a_failure() {
+        let broken = || Finding::new(Test::HorizonLimit, Measure::error(0.2, 0.1));
+        let kept = || Finding::new(Test::HorizonLimit, Measure::error(0.05, 0.1));
+        let measured = Claims { measured: true, ..Claims::NONE };
+        assert_eq!(broken().law(&Claims::NONE).verdict(0.0), Verdict::Fail);
+        assert_eq!(broken().law(&measured).verdict(0.0), Verdict::OfTheFile);
+        assert_eq!(kept().law(&measured).verdict(0.0), Verdict::Pass);
+        // Only a failure ends the command with an error.
+        assert!(Verdict::Warning < Verdict::OfTheFile && Verdict::OfTheFile < Verdict::Fail);
+    }
+}
