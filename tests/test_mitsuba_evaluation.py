@@ -82,6 +82,55 @@ def test_traced_way_is_the_in_kernel_call(libraries, library):
     assert np.allclose(pdf, traced_pdf, rtol=1e-5)
 
 
+# Wider, narrower and brighter than the materials of the tests.
+EDITS = {
+    "wide": {"alpha": 0.8},
+    "narrow": {"alpha": 0.05, "eta": 3.0},
+    "white": {"kd": 1.0, "eta": 1.1, "alpha": 0.6},
+    "mix": {"mix": "metal", "mix_weight": 0.4},
+    "edited mix": {"mix": "metal", "mix_weight": 0.4, "alpha": 0.3, "kd": 0.7},
+}
+
+
+def shares_network(library):
+    return LIBRARIES[library]["kind"] in ("hybrid", "neural") and "per_material" not in library
+
+
+@pytest.mark.parametrize("edit", EDITS)
+@pytest.mark.parametrize("library", [name for name in TRACED if shares_network(name)])
+def test_edits_and_mixes_are_the_same_in_core_call_and_trace(libraries, library, edit):
+    changes = EDITS[edit]
+    if LIBRARIES[library]["kind"] == "neural" and set(changes) - {"mix", "mix_weight"}:
+        pytest.skip("neural materials have no analytic part to edit")
+    light, view = hemisphere(1000, 3), hemisphere(1000, 4)
+    material = glimt.load(libraries[library])["orange"]
+    if "mix" in changes:
+        material = glimt.load(libraries[library]).mix("orange", changes["mix"], changes["mix_weight"])
+    parameters = {key: value for key, value in changes.items() if key in ("kd", "eta", "alpha")}
+    if parameters:
+        material = material.edit(**parameters)
+    expected = material.eval(light.T, view.T).T
+    for variant in "scalar_rgb", "llvm_ad_rgb":
+        mi.set_variant(variant)
+        bsdf = load(libraries[library], "orange", **changes)
+        if variant == "scalar_rgb":
+            found = [scalar(bsdf, light, view)]
+        else:
+            found = [evaluate(bsdf, light, view, traced)[0] for traced in (False, True)]
+        for f in found:
+            assert np.allclose(f, expected, rtol=2e-4, atol=2e-5 * expected.max()), (library, edit, variant)
+
+
+def scalar(bsdf, light, view):
+    """f (3, n) of a bsdf of a scalar variant."""
+    context, f = mi.BSDFContext(), []
+    for l, v in zip(light.T, view.T):
+        si = mi.SurfaceInteraction3f()
+        si.wi = v.tolist()
+        f.append(np.array(bsdf.eval(context, si, mi.ScalarVector3f(*l.tolist()))) / l[2])
+    return np.array(f).T
+
+
 @pytest.mark.parametrize("library", LIBRARIES)
 def test_scalar_variant_is_the_in_kernel_call(libraries, library):
     n = 1000

@@ -136,6 +136,23 @@ def test_parameters_and_edits(orange):
     assert edited.pdf(*pair) != orange.pdf(*pair)
 
 
+def test_mixes_lie_between_two_materials(libraries):
+    library = glimt.load(libraries["hybrid_isotropic"])
+    orange, metal = library["orange"], library["metal"]
+    pair = [-0.6, 0, 0.8], [0.6, 0, 0.8]
+    np.testing.assert_array_equal(library.mix("orange", "metal", 0).eval(*pair), orange.eval(*pair))
+    np.testing.assert_array_equal(library.mix("orange", "metal", 1).eval(*pair), metal.eval(*pair))
+    mix = library.mix("orange", "metal", 0.5)
+    assert mix.kd == pytest.approx((np.array(orange.kd) + np.array(metal.kd)) / 2)
+    assert mix.latent == pytest.approx((orange.latent + metal.latent) / 2, abs=1e-6)
+    assert np.all(np.isfinite(mix.eval(*pair)))
+    assert "orange" in mix.name and "metal" in mix.name
+    with pytest.raises(glimt.Error, match="weight of 2"):
+        library.mix("orange", "metal", 2)
+    with pytest.raises(glimt.Error, match="nbrdf"):
+        glimt.load(libraries["nbrdf"]).mix("orange", "metal", 0.5)
+
+
 def test_models_without_an_analytic_part(libraries):
     for kind in ("nbrdf", "factor", "analytic_ward"):
         material = glimt.load(libraries[kind])["orange"]

@@ -90,6 +90,29 @@ void edits(const glimt::Material &material) {
     }
 }
 
+void mixes(const glimt::Library &library, const std::string &name) {
+    const glimt::Material one = library.material(name);
+    const glimt::Vec3 light{-0.6f, 0, 0.8f}, view{0.6f, 0, 0.8f};
+    std::string other;
+    for (const std::string &candidate : library.names())
+        if (candidate != name)
+            other = candidate;
+    const glimt::Material mix = library.mix(name, other, 0.3f);
+    CHECK(mix.name() != name && mix.info().has_microfacet);
+    CHECK(mix.eval(light, view) != one.eval(light, view));
+    CHECK(library.mix(name, other, 0.f).eval(light, view) == one.eval(light, view));
+    for (const float weight : {-0.1f, 1.5f}) {
+        try {
+            library.mix(name, other, weight);
+            CHECK(false);
+        } catch (const glimt::Error &error) {
+            CHECK(error.status() == GLIMT_ERROR_PARAMETER);
+        }
+    }
+    glimt_material *material = nullptr;
+    CHECK(glimt_library_mix(nullptr, "a", "b", 0.5f, &material) == GLIMT_ERROR_ARGUMENT);
+}
+
 void directions_that_carry_nothing(const glimt::Material &material) {
     const glimt::Vec3 normal{0, 0, 1}, below{0.6f, 0, -0.8f};
     const float nan = std::strtof("nan", nullptr);
@@ -109,6 +132,7 @@ int main(int argc, char **argv) {
 
     std::optional<glimt::Library> library(argv[1]);
     glimt::Material material = library->material(argv[2]);
+    mixes(*library, argv[2]);
     library.reset();
     null_arguments(material.get());
     edits(material);
