@@ -22,21 +22,37 @@ use eigen::{condition, scaled};
 const CROWD: usize = 6;
 const PAIRS: usize = 4000;
 
-/// Log-MAE that a fit of 300 steps must reach with each model, or `None` where the model has no such
-/// shape: `ggx` knows one lobe and no sheen.
+/// Log-MAE of fits of 300 steps with `ggx`, `hybrid`, `neural` and `spherical`: the largest that AVX-512, AVX2 and
+/// portable kernels were measured to reach. `ggx` knows one lobe and no sheen; the lobe of the range of 1e7 is too
+/// narrow for what has no analytic part; of the 448 samples, a network knows nothing between them.
+const MEASURED: [(&str, [f64; 4]); 10] = [
+    ("easy", [0.03611, 0.00191, 0.00964, 0.00632]),
+    ("near mirror", [0.0, 1e-5, 0.00080, 0.00079]),
+    ("range of 1e7", [0.01211, 0.01189, 0.01920, 0.01921]),
+    ("hot pixel", [0.0, 1e-5, 5e-5, 6e-5]),
+    ("black channel", [0.01052, 0.00111, 0.00102, 0.00355]),
+    ("black", [0.0; 4]),
+    ("constant", [0.0, 1e-5, 0.00015, 0.00021]),
+    ("448 samples", [0.03862, 0.00843, 0.07654, 0.07954]),
+    ("duplicates", [0.02283, 0.00134, 0.00496, 0.00512]),
+    ("one in a crowd", [0.01969, 0.00505, 0.00840, 0.00410]),
+];
+
+/// The rounding of another machine.
+const ROOM: f64 = 1.1;
+/// The last digit of what was measured.
+const DIGIT: f64 = 1e-5;
+
+/// Most that a fit of 300 steps may have for a log-MAE.
 fn most(case: &Case, model: &Model) -> f64 {
-    let hard = matches!(case.name, "range of 1e7" | "one in a crowd");
-    match model {
-        Model::Ggx(_) => 0.05,
-        Model::Hybrid(_) => {
-            if hard {
-                0.05
-            } else {
-                0.02
-            }
-        }
-        Model::Neural(_) | Model::Spherical(_) => 0.1,
-    }
+    let (_, figures) = MEASURED.iter().find(|(name, _)| *name == case.name).expect("every case was measured");
+    let figure = match model {
+        Model::Ggx(_) => figures[0],
+        Model::Hybrid(_) => figures[1],
+        Model::Neural(_) => figures[2],
+        Model::Spherical(_) => figures[3],
+    };
+    ROOM * figure + DIGIT
 }
 
 fn check(case: &Case, model: &Model, run: &Run) {
@@ -45,19 +61,8 @@ fn check(case: &Case, model: &Model, run: &Run) {
     assert!(run.curve.iter().all(|(_, loss)| loss.is_finite()), "{what}: {:?}", run.curve);
     let (first, last) = (run.curve[0].1, run.curve[run.curve.len() - 1].1);
     assert!(last <= first, "{what}: the loss rose from {first} to {last}");
-    assert!(run.log_mae < most(case, model), "{what}: {}", run.log_mae);
     assert!(run.worst.is_finite() && run.smape <= 2.0, "{what}: {} and {}", run.worst, run.smape);
-    println!("{} {}: {:.5}", case.name, kind(model), run.log_mae);
     readable(case.name, &run.entries);
-}
-
-fn kind(model: &Model) -> &'static str {
-    match model {
-        Model::Ggx(_) => "ggx",
-        Model::Hybrid(_) => "hybrid",
-        Model::Neural(_) => "neural",
-        Model::Spherical(_) => "spherical",
-    }
 }
 
 /// What is written can be read: the reader refuses what is not finite.
@@ -71,8 +76,11 @@ fn readable(name: &str, entries: &[Entry]) {
 #[test]
 fn every_stiff_case_converges_with_every_model() {
     for case in cases(CROWD) {
-        for (_, model) in models() {
-            check(&case, &model, &run(&case, &model, 300, 1, rate(&model), PAIRS));
+        for (name, model) in models() {
+            let run = run(&case, &model, 300, 1, rate(&model), PAIRS);
+            check(&case, &model, &run);
+            println!("{} {name}: {:.5}", case.name, run.log_mae);
+            assert!(run.log_mae <= most(&case, &model), "{} {name}: {}", case.name, run.log_mae);
         }
     }
 }
@@ -108,16 +116,22 @@ fn of_best_constant(case: &Case) -> f64 {
 fn ten_times_and_a_tenth_of_the_rate_still_converge() {
     let case = &cases(CROWD)[0];
     let collapsed = of_best_constant(case);
-    for (name, model) in &models()[1..] {
-        // `neural` does not stand ten times its rate, and docs/stiff-fits.md says so.
-        let factors: &[f32] = if *name == "neural" { &[0.1] } else { &[10.0, 0.1] };
-        for factor in factors {
-            let run = run(case, model, 300, 1, factor * rate(model), PAIRS);
-            assert_eq!(run.failure, None);
-            let error = run.log_mae;
-            println!("{name} at {factor} times its rate: {error:.5}, collapsed {collapsed:.5}");
-            assert!(error < 0.75 * collapsed, "{name} at {factor} times its rate: {error}");
-        }
+    // Measured as above. `neural` does not stand ten times its rate, and docs/stiff-fits.md says so.
+    for (wanted, factor, figure) in [
+        ("hybrid", 10.0, 0.00096),
+        ("hybrid", 0.1, 0.03607),
+        ("neural", 0.1, 0.03730),
+        ("spherical", 10.0, 0.00540),
+        ("spherical", 0.1, 0.01548),
+    ] {
+        let (name, model) = models().into_iter().find(|(name, _)| *name == wanted).unwrap();
+        let run = run(case, &model, 300, 1, factor * rate(&model), PAIRS);
+        assert_eq!(run.failure, None);
+        let error = run.log_mae;
+        println!("{name} at {factor} times its rate: {error:.5}, collapsed {collapsed:.5}");
+        assert!(error <= ROOM * figure + DIGIT, "{name} at {factor} times its rate: {error}");
+        // The test of the limit: a collapsed fit is beyond it.
+        assert!(ROOM * figure + DIGIT < 0.5 * collapsed);
     }
 }
 
