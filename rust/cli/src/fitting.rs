@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, Result, bail};
 use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::{AnyModel, Brdf, Material};
+use glimt_core::{AnyModel, Brdf};
 use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::Progress;
 use glimt_fit::{Input, Truth, held_out};

@@ -25,7 +25,9 @@ fn every_variant_of_factor_is_fitted() {
     };
     let form = || {
         let library = Library::open(folder.path("tables.safetensors")).unwrap();
-        let AnyModel::Factor(factor) = library.material(Some("orange")).unwrap().model() else { panic!("no factor") };
+        let AnyModel::Factor(factor) = library.material(Some("orange")).unwrap().model() else {
+            panic!("no factor")
+        };
         assert!(library.entries()[0].origin.metrics["objective_blue"] > 0.0);
         assert!(library.entries()[0].origin.command.starts_with("glimt fit --model factor"));
         (factor.form().variant, factor.form().interpolation)

@@ -31,8 +31,7 @@ pub fn together(a: &Material, b: &Material) -> bool {
 pub fn eval_tile(materials: &[&Material; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
     match materials[0].model() {
         AnyModel::Hybrid(first) if materials.iter().any(|m| !std::ptr::eq(*m, materials[0])) => {
-            let hybrids =
-                materials.map(|m| if let AnyModel::Hybrid(m) = m.model() { m } else { first });
+            let hybrids = materials.map(|m| if let AnyModel::Hybrid(m) = m.model() { m } else { first });
             eval_hybrids(&hybrids, light, view, out);
         }
         _ => materials[0].eval_tile(light, view, out),

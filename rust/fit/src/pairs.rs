@@ -131,8 +131,7 @@ fn pair(drawing: Drawing, u: [f32; 5]) -> (Vec3, Vec3, f32) {
         return (light, view, 1.0);
     }
     let diffuse = light.z * FRAC_1_PI;
-    let specular: f32 =
-        LOBE_ALPHAS.iter().map(|&a| VisibleNormals { alpha: [a; 2] }.pdf(light, view)).sum();
+    let specular: f32 = LOBE_ALPHAS.iter().map(|&a| VisibleNormals { alpha: [a; 2] }.pdf(light, view)).sum();
     let pdf = (1.0 - share) * diffuse + share * specular / LOBE_ALPHAS.len() as f32;
     (light, view, view_weight * diffuse / pdf + TIP_WEIGHT)
 }

@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use clap::ValueEnum;
-use glimt_core::{AnyModel, Material};
 use glimt_core::features::Inputs;
 use glimt_core::ggx::Ggx;
 use glimt_core::healpix::Healpix;
@@ -17,6 +16,7 @@ use glimt_core::spherical::pixelation::Pixelation;
 use glimt_core::spherical::store::Store;
 use glimt_core::spherical::tables::{self, Grids, Interpolation, Layout};
 use glimt_core::spherical::{Features, Spherical};
+use glimt_core::{AnyModel, Material};
 use glimt_fit::Net;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

@@ -144,7 +144,8 @@ impl Library {
             if architecture(&entry.material) != architecture(first) {
                 return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
             }
-            let together = with_model!(first.model(), first => first.check_together(model_of(&entry.material)));
+            let together =
+                with_model!(first.model(), first => first.check_together(model_of(&entry.material)));
             together.map_err(|e| format!("\"{}\" and \"{}\" {e}", self.entries[0].name, entry.name))?;
         }
         Ok(())

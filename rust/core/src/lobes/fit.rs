@@ -10,16 +10,20 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
 
-use super::{GGX_LOBES, KNOTS, Lobes, Shares, cos_at, sample_cosine, sample_visible_normal, visible_normal_pdf};
+use super::{
+    GGX_LOBES, KNOTS, Lobes, Shares, cos_at, sample_cosine, sample_visible_normal, visible_normal_pdf,
+};
 use crate::brdf::{Brdf, is_lit};
 use crate::microfacet::MIN_ALPHA;
 
 /// Ratio of neighbouring roughnesses to try.
 const ALPHA_RATIO: f32 = 1.44;
 /// What a roughness is multiplied with when it is tuned.
-const TUNING: [f32; 5] = [0.76, 0.87, 1.0, 1.15, 1.32];
+const TUNING: [f32; 3] = [0.83, 1.0, 1.2];
 /// Least roughness to try for a material that has none of its own.
 const LEAST_ALPHA: f32 = 0.003;
+/// How many times each lobe is tuned.
+const TUNING_ROUNDS: usize = 2;
 /// Steps below a material's own roughness that are tried: a fit may narrow the lobe, too.
 const STEPS_BELOW: i32 = 4;
 
@@ -47,8 +51,8 @@ const CHOICE_STRIDE: usize = 2;
 /// How much more a variance counts that is above that of the best lobe alone.
 const REGRET_WEIGHT: f32 = 10.0;
 /// Steps of Newton's method in the shares when roughnesses are compared, and at the end.
-const COARSE_STEPS: usize = 5;
-const FINE_STEPS: usize = 12;
+const COARSE_STEPS: usize = 4;
+const FINE_STEPS: usize = 10;
 /// Rounds over the four numbers of the quadratic model.
 const QUADRATIC_SWEEPS: usize = 32;
 /// Steps of Newton's method in one share.
@@ -65,7 +69,8 @@ impl Lobes {
     /// Deterministic; around ten thousand evaluations of `brdf`.
     #[must_use]
     pub fn fit(brdf: &(impl Brdf + ?Sized), candidates: &[[f32; 2]], is_isotropic: bool) -> Lobes {
-        let views: Vec<View> = (0..KNOTS).map(|knot| View::new(brdf, knot, candidates, is_isotropic)).collect();
+        let views: Vec<View> =
+            (0..KNOTS).map(|knot| View::new(brdf, knot, candidates, is_isotropic)).collect();
         let looked_at: Vec<&View> = views.iter().rev().step_by(CHOICE_STRIDE).collect();
         let alpha = choose(&looked_at, candidates);
         let shares = std::array::from_fn(|knot| {
@@ -102,8 +107,8 @@ fn choose(views: &[&View], candidates: &[[f32; 2]]) -> [[f32; 2]; GGX_LOBES] {
     for _ in 0..GGX_LOBES {
         chosen.push(best_beside(&chosen, candidates.clone()));
     }
-    for _ in 0..GGX_LOBES {
-        // The oldest first; the new one comes last, so that each is seen once.
+    for _ in 0..TUNING_ROUNDS * GGX_LOBES {
+        // The oldest first; the new one comes last, so that all take turns.
         let alpha = chosen.remove(0).alpha;
         let near = TUNING.map(|factor| Ggx::new(views, scaled(alpha, factor)));
         chosen.push(best_beside(&chosen, near.into()));
@@ -158,17 +163,21 @@ impl View {
         let (lights, views) = draw(knot, candidates, is_isotropic);
         let mut f = vec![Vec3::ZERO; lights.len()];
         brdf.eval_batch(&lights, &views, &mut f);
-        let mut view = View { probes: lights.into_iter().zip(views).collect(), squares: Vec::new(), cosine: Vec::new() };
+        let mut view =
+            View { probes: lights.into_iter().zip(views).collect(), squares: Vec::new(), cosine: Vec::new() };
         view.cosine = view.rows(|light, _| light.z * FRAC_1_PI);
         // The number of directions drawn from all lobes together, at each one.
         let mut drawn = view.rows(|light, _| COSINE_PROBES as f32 * light.z * FRAC_1_PI);
         for &alpha in candidates {
-            for (drawn, density) in drawn.as_flattened_mut().iter_mut().zip(view.densities(alpha).as_flattened()) {
+            for (drawn, density) in
+                drawn.as_flattened_mut().iter_mut().zip(view.densities(alpha).as_flattened())
+            {
                 *drawn += GGX_PROBES as f32 * density;
             }
         }
         let drawn = drawn.as_flattened().iter().map(|&drawn| f64::from(drawn));
-        let responses = f.iter().zip(&view.probes).map(|(f, (light, _))| f64::from(f.element_sum() / 3.0 * light.z));
+        let responses =
+            f.iter().zip(&view.probes).map(|(f, (light, _))| f64::from(f.element_sum() / 3.0 * light.z));
         let terms: Vec<(f64, f64)> = responses.zip(drawn).collect();
         let albedo: f64 = terms.iter().map(|(response, drawn)| response / drawn).sum();
         view.squares = vec![[0.0; SIDE]; terms.len().div_ceil(SIDE)];
@@ -207,8 +216,7 @@ impl View {
 fn draw(knot: usize, candidates: &[[f32; 2]], is_isotropic: bool) -> (Vec<Vec3>, Vec<Vec3>) {
     let cos_view = cos_at((knot as f32).max(FIRST_KNOT));
     let sin_view = (1.0 - cos_view * cos_view).sqrt();
-    let azimuth_at =
-        |i: usize| if is_isotropic { 0.6 } else { TAU * (i as f32 * GOLDEN_SECTION).fract() };
+    let azimuth_at = |i: usize| if is_isotropic { 0.6 } else { TAU * (i as f32 * GOLDEN_SECTION).fract() };
     let lobes = [(None, COSINE_PROBES)].into_iter();
     let lobes = lobes.chain(candidates.iter().map(|&alpha| (Some(alpha), GGX_PROBES)));
     lobes
@@ -216,8 +224,8 @@ fn draw(knot: usize, candidates: &[[f32; 2]], is_isotropic: bool) -> (Vec<Vec3>,
         .flat_map(|(lobe, (alpha, count))| (0..count).map(move |i| (lobe, alpha, i)))
         .filter_map(|(lobe, alpha, i)| {
             // Points of the R2 sequence (Roberts 2018), another stretch of it for each lobe.
-            let [u1, u2] =
-                [0.754_877_7, 0.569_840_3].map(|step: f32| (0.5 + (lobe * GGX_PROBES + i) as f32 * step).fract());
+            let [u1, u2] = [0.754_877_7, 0.569_840_3]
+                .map(|step: f32| (0.5 + (lobe * GGX_PROBES + i) as f32 * step).fract());
             let (sin_phi, cos_phi) = azimuth_at(i).sin_cos();
             let view = Vec3::new(sin_view * cos_phi, sin_view * sin_phi, cos_view);
             let light = match alpha {
@@ -331,9 +339,7 @@ impl<'a> Mixture<'a> {
         Model {
             moment: sum(sums),
             gains: slopes.map(sum),
-            curvature: std::array::from_fn(|i| {
-                std::array::from_fn(|j| sum(curvatures[i.max(j)][i.min(j)]))
-            }),
+            curvature: std::array::from_fn(|i| std::array::from_fn(|j| sum(curvatures[i.max(j)][i.min(j)]))),
         }
     }
 
@@ -394,7 +400,8 @@ impl Model {
         for _ in 0..QUADRATIC_SWEEPS {
             for i in 0..lobes {
                 let slope: f32 = (0..lobes).map(|j| self.curvature[i][j] * (moved[j] - shares[j])).sum();
-                let step = (self.moment - self.gains[i] + slope) / self.curvature[i][i].max(f32::MIN_POSITIVE);
+                let step =
+                    (self.moment - self.gains[i] + slope) / self.curvature[i][i].max(f32::MIN_POSITIVE);
                 moved[i] = (moved[i] - step).max(0.0);
             }
         }
