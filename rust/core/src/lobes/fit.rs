@@ -51,8 +51,8 @@ const CHOICE_STRIDE: usize = 2;
 /// How much more a variance counts that is above that of the best lobe alone.
 const REGRET_WEIGHT: f32 = 10.0;
 /// Steps of Newton's method in the shares when roughnesses are compared, and at the end.
-const COARSE_STEPS: usize = 4;
-const FINE_STEPS: usize = 10;
+const COARSE_STEPS: usize = 8;
+const FINE_STEPS: usize = 16;
 /// Rounds over the four numbers of the quadratic model.
 const QUADRATIC_SWEEPS: usize = 32;
 /// Steps of Newton's method in one share.

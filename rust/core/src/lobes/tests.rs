@@ -168,7 +168,7 @@ fn the_cosine_serves_a_diffuser_and_hardly_a_mirror() {
     let mirror = Microfacet { kd: [0.0; 3], eta: [3.0; 3], alpha: [0.02; 2] };
     let mirror = Lobes::fit(&Ggx::new(mirror).unwrap(), &candidates(Some(mirror.alpha)), true);
     for knot in 0..KNOTS {
-        assert!(diffuse.shares()[knot][COSINE] > 0.999, "{:?}", diffuse.shares()[knot]);
+        assert!(diffuse.shares()[knot][COSINE] > 0.998, "{:?}", diffuse.shares()[knot]);
         assert!(mirror.shares()[knot][COSINE] < 0.003, "{:?}", mirror.shares()[knot]);
     }
 }
