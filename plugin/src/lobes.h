@@ -26,7 +26,7 @@ template <typename Float> struct TracedLobes {
     using Storage  = mitsuba::DynamicBuffer<Float>;
 
     /// Number of GGX lobes; the cosine lobe comes after them.
-    static constexpr size_t GgxLobes = 3;
+    static constexpr size_t GgxLobes = 4;
     /// Probability of each lobe.
     using Shares = dr::Array<Float, GgxLobes + 1>;
 
@@ -51,11 +51,13 @@ template <typename Float> struct TracedLobes {
     std::pair<Vector3f, Float> sample(const Vector3f &view, const Float &u_lobe, const Point2f &u,
                                       const Mask &active) const {
         Shares share = shares(view, active);
-        Vector2f chosen = alpha(GgxLobes - 1);
-        Float below = share[0] + share[1];
-        chosen = dr::select(u_lobe < below, alpha(1), chosen);
-        chosen = dr::select(u_lobe < share[0], alpha(0), chosen);
-        Mask specular = u_lobe < below + share[2];
+        Vector2f chosen = alpha(0);
+        Float below = share[0];
+        for (size_t i = 1; i < GgxLobes; ++i) {
+            chosen = dr::select(u_lobe < below, chosen, alpha(i));
+            below += share[i];
+        }
+        Mask specular = u_lobe < below;
         // All lobes turn a point of a disc or a cap by the same azimuth, so that one sine serves them.
         auto [sin_phi, cos_phi] = dr::sincos(dr::TwoPi<Float> * dr::select(specular, u.x(), u.y()));
         Vector3f light = dr::select(specular, visible_normal(chosen, view, u.y(), sin_phi, cos_phi),

@@ -31,18 +31,27 @@ def parse_arguments():
     parser.add_argument("library", nargs="?", type=Path, default=ROOT / "scenes" / "models" / "rgl.safetensors")
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
     parser.add_argument("--size", type=int, default=96)
-    parser.add_argument("--spp", type=int, default=256)
+    parser.add_argument("--spp", type=int, default=512)
     return parser.parse_args()
 
 
 def sphere(bsdf, size, spp):
-    """A sphere under a clear sky, linear RGB."""
+    """A sphere under a round lamp, a panel behind it and a dim sky, linear RGB."""
+    place = mi.ScalarTransform4f()
     film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "gaussian"}}
-    view = mi.ScalarTransform4f().look_at([0, -5, 0], [0, 0, 0], [0, 0, 1])
+    view = place.look_at([0, -5, 0], [0, 0, 0], [0, 0, 1])
+    panel = place.look_at([4, 2, 1], [0, 0, 0], [0, 0, 1]).scale([0.6, 2, 1])
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2, "hide_emitters": True},
-        "light": {"type": "sunsky", "sun_direction": [0.5, -0.6, 0.6], "sun_aperture": 5.0},
+        "sky": {"type": "constant", "radiance": 0.25},
+        "lamp": {
+            "type": "sphere",
+            "center": [-4, -5, 5],
+            "radius": 0.9,
+            "emitter": {"type": "area", "radiance": 25.0},
+        },
+        "panel": {"type": "rectangle", "to_world": panel, "emitter": {"type": "area", "radiance": 6.0}},
         "sensor": {"type": "perspective", "fov": 24, "to_world": view, "film": film},
         "sphere": {"type": "sphere", "bsdf": bsdf},
     }
@@ -52,7 +61,7 @@ def sphere(bsdf, size, spp):
 def strip(bsdfs, arguments, exposure=None):
     """Spheres side by side, and the exposure that shows the first of them."""
     images = [sphere(bsdf, arguments.size, arguments.spp) for bsdf in bsdfs]
-    exposure = exposure or 0.8 / np.percentile(images[0], 95)
+    exposure = exposure or 0.6 / np.percentile(images[0], 97)
     return np.concatenate(images, axis=1) * exposure, exposure
 
 

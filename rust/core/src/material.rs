@@ -290,3 +290,34 @@ impl SampleBrdf for Material {
         self.sampler().sample(self, view, u)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Library;
+
+    fn is_made(material: &Material) -> bool {
+        material.sampler.get().is_some()
+    }
+
+    /// Lobes take milliseconds, and whoever opens a library of a thousand materials samples a few.
+    #[test]
+    fn a_sampler_is_made_once_and_only_when_it_is_asked_for() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/models/rgl.safetensors");
+        let library = Library::open(path).unwrap();
+        let material = library.material(Some("chm_orange")).unwrap();
+        let microfacet = Microfacet { alpha: [0.3; 2], ..*material.microfacet().unwrap() };
+        let edited = material.with_microfacet(microfacet).unwrap();
+        let edited = edited.with_latent(vec![0.1; edited.latent().len()]).unwrap();
+        let tabulated = material.with_sampler("table:4x4x4".parse().unwrap());
+        let _ = (material.eval(Vec3::Z, Vec3::Z), edited.eval(Vec3::Z, Vec3::Z), tabulated.plan().name());
+        assert!(!library.entries().iter().any(|entry| is_made(&entry.material)));
+        assert!(!is_made(&edited) && !is_made(&tabulated));
+
+        let copy = material.clone();
+        assert!(copy.pdf(Vec3::Z, Vec3::Z) > 0.0);
+        assert!(std::ptr::eq(copy.sampler(), material.sampler()));
+        assert_eq!(library.entries().iter().filter(|entry| is_made(&entry.material)).count(), 1);
+        assert!(matches!(tabulated.with_microfacet(microfacet).unwrap().sampler(), Sampler::Table(_)));
+    }
+}

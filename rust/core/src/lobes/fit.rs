@@ -19,9 +19,11 @@ use crate::microfacet::MIN_ALPHA;
 /// Ratio of neighbouring roughnesses to try.
 const ALPHA_RATIO: f32 = 1.44;
 /// What a roughness is multiplied with when it is tuned.
-const TUNING: [f32; 5] = [0.76, 0.87, 1.0, 1.15, 1.32];
+const TUNING: [f32; 3] = [0.83, 1.0, 1.2];
 /// Least roughness to try for a material that has none of its own.
 const LEAST_ALPHA: f32 = 0.003;
+/// How many times each lobe is tuned.
+const TUNING_ROUNDS: usize = 2;
 /// Steps below a material's own roughness that are tried: a fit may narrow the lobe, too.
 const STEPS_BELOW: i32 = 4;
 
@@ -49,8 +51,8 @@ const CHOICE_STRIDE: usize = 2;
 /// How much more a variance counts that is above that of the best lobe alone.
 const REGRET_WEIGHT: f32 = 10.0;
 /// Steps of Newton's method in the shares when roughnesses are compared, and at the end.
-const COARSE_STEPS: usize = 5;
-const FINE_STEPS: usize = 12;
+const COARSE_STEPS: usize = 8;
+const FINE_STEPS: usize = 16;
 /// Rounds over the four numbers of the quadratic model.
 const QUADRATIC_SWEEPS: usize = 32;
 /// Steps of Newton's method in one share.
@@ -105,8 +107,8 @@ fn choose(views: &[&View], candidates: &[[f32; 2]]) -> [[f32; 2]; GGX_LOBES] {
     for _ in 0..GGX_LOBES {
         chosen.push(best_beside(&chosen, candidates.clone()));
     }
-    for _ in 0..GGX_LOBES {
-        // The oldest first; the new one comes last, so that each is seen once.
+    for _ in 0..TUNING_ROUNDS * GGX_LOBES {
+        // The oldest first; the new one comes last, so that all take turns.
         let alpha = chosen.remove(0).alpha;
         let near = TUNING.map(|factor| Ggx::new(views, scaled(alpha, factor)));
         chosen.push(best_beside(&chosen, near.into()));

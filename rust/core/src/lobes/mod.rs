@@ -17,7 +17,7 @@ mod fit;
 pub use fit::candidates;
 
 /// GGX lobes of a mixture.
-pub const GGX_LOBES: usize = 3;
+pub const GGX_LOBES: usize = 4;
 /// Where the cosine lobe stands among the shares, after the GGX lobes.
 pub const COSINE: usize = GGX_LOBES;
 /// Views at which shares are kept: from grazing to the normal in equal steps of √cosθ − √(1 − cosθ), which is
@@ -101,7 +101,8 @@ impl Lobes {
     #[inline]
     fn pdf_lit(&self, light: Vec3, view: Vec3, shares: &Shares) -> f32 {
         let densities = self.densities.at(light, view);
-        let pdf: f32 = shares.iter().zip(densities).map(|(share, density)| share * density).sum();
+        let specular: f32 = shares.iter().zip(densities).map(|(share, density)| share * density).sum();
+        let pdf = specular + shares[COSINE] * light.z * FRAC_1_PI;
         // At the horizon it can be less than float32 holds, and must not be 0 where f is not.
         pdf.max(f32::MIN_POSITIVE)
     }
@@ -143,45 +144,42 @@ fn choose(shares: &Shares, u: f32) -> usize {
     COSINE
 }
 
-/// What the densities of the lobes need of their roughnesses, side by side: the loops below become
-/// vector instructions. The cosine lobe's column is padding.
+/// A number of each GGX lobe.
+type Row = [f32; GGX_LOBES];
+
+/// What the densities of the GGX lobes need of their roughnesses, side by side: four lobes are one vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Densities {
     /// α² along x and y.
-    square: [Shares; 2],
+    square: [Row; 2],
     /// 1/α² along x and y.
-    inverse_square: [Shares; 2],
+    inverse_square: [Row; 2],
     /// 1/(2π α_x α_y).
-    scale: Shares,
+    scale: Row,
 }
 
 impl Densities {
     fn new(alpha: [[f32; 2]; GGX_LOBES]) -> Densities {
-        let of = |f: &dyn Fn([f32; 2]) -> f32| -> Shares {
-            std::array::from_fn(|lobe| alpha.get(lobe).map_or(1.0, |&alpha| f(alpha)))
-        };
         Densities {
-            square: [of(&|[x, _]| x * x), of(&|[_, y]| y * y)],
-            inverse_square: [of(&|[x, _]| 1.0 / (x * x)), of(&|[_, y]| 1.0 / (y * y))],
-            scale: of(&|[x, y]| 1.0 / (2.0 * PI * x * y)),
+            square: [alpha.map(|[x, _]| x * x), alpha.map(|[_, y]| y * y)],
+            inverse_square: [alpha.map(|[x, _]| 1.0 / (x * x)), alpha.map(|[_, y]| 1.0 / (y * y))],
+            scale: alpha.map(|[x, y]| 1.0 / (2.0 * PI * x * y)),
         }
     }
 
-    /// Density of each lobe: [`visible_normal_pdf`], and the cosine over π.
+    /// Density of each lobe, [`visible_normal_pdf`].
     #[inline]
-    fn at(&self, light: Vec3, view: Vec3) -> Shares {
+    fn at(&self, light: Vec3, view: Vec3) -> Row {
         let half = Half::new(<[f32; 3]>::from(light), view.into());
         let view_squared = view * view;
-        let mut densities: Shares = std::array::from_fn(|i| {
+        std::array::from_fn(|i| {
             let slope = half.tangential[0] * self.inverse_square[0][i]
                 + half.tangential[1] * self.inverse_square[1][i];
             let r = half.length_squared / (slope + half.height).max(f32::MIN_POSITIVE);
             let stretched = view_squared.x * self.square[0][i] + view_squared.y * self.square[1][i];
             let masking = view.z + (view_squared.z + stretched).sqrt();
             r * r * self.scale[i] / masking.max(f32::MIN_POSITIVE)
-        });
-        densities[COSINE] = light.z * FRAC_1_PI;
-        densities
+        })
     }
 }
 
