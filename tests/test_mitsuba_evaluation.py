@@ -124,10 +124,10 @@ def test_edits_and_mixes_are_the_same_in_core_call_and_trace(libraries, library,
 def scalar(bsdf, light, view):
     """f (3, n) of a bsdf of a scalar variant."""
     context, f = mi.BSDFContext(), []
-    for l, v in zip(light.T, view.T):
+    for to_light, to_view in zip(light.T, view.T):
         si = mi.SurfaceInteraction3f()
-        si.wi = v.tolist()
-        f.append(np.array(bsdf.eval(context, si, mi.ScalarVector3f(*l.tolist()))) / l[2])
+        si.wi = to_view.tolist()
+        f.append(np.array(bsdf.eval(context, si, mi.ScalarVector3f(*to_light.tolist()))) / to_light[2])
     return np.array(f).T
 
 

@@ -2,8 +2,9 @@
 
     python tests/quality/edits.py [LIBRARY] [--out DIRECTORY]
 
-A strip of edits has the fitted material first, and one parameter changed in each of the others; rows are k_d, η and
-α. A strip of mixes goes from one material to another. The exposure is that of the first sphere of its material.
+A strip of edits has the fitted material first, and one parameter changed in each of the others; rows are
+k_d, η and α. A strip of mixes goes from one material to another. The exposure is that of the first sphere of
+a material.
 """
 
 import argparse
@@ -28,7 +29,9 @@ WEIGHTS = [0, 0.15, 0.3, 0.5, 0.7, 0.85, 1]
 
 def parse_arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("library", nargs="?", type=Path, default=ROOT / "scenes" / "models" / "rgl.safetensors")
+    parser.add_argument(
+        "library", nargs="?", type=Path, default=ROOT / "scenes" / "models" / "rgl.safetensors"
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "docs")
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--spp", type=int, default=512)
@@ -79,7 +82,9 @@ def edits(library, arguments):
             [{"eta": eta} for eta in ETA],
             [{"alpha": alpha} for alpha in ALPHA],
         ):
-            row, exposure = strip([fitted, *({**fitted, **change} for change in changes)], arguments, exposure)
+            row, exposure = strip(
+                [fitted, *({**fitted, **change} for change in changes)], arguments, exposure
+            )
             rows.append(row)
     return np.concatenate(rows)
 
