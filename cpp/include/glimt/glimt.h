@@ -190,7 +190,8 @@ const char *glimt_last_error(void);
  * \return GLIMT_OK; GLIMT_ERROR_READ if the file cannot be read; GLIMT_ERROR_FORMAT if it is not a
  * valid library; GLIMT_ERROR_ARGUMENT.
  */
-enum glimt_status glimt_library_open(const char *path, struct glimt_library **library);
+enum glimt_status glimt_library_open(const char *path,
+                                     struct glimt_library **library);
 
 /**
  * Closes a library. Its materials stay valid; its names do not. NULL is ignored.
@@ -228,6 +229,22 @@ const char *glimt_library_kind(const struct glimt_library *library);
 enum glimt_status glimt_library_material(const struct glimt_library *library,
                                          const char *name,
                                          struct glimt_material **material);
+
+/**
+ * A material between two of a library: for the models whose materials share a network, and ggx.
+ *
+ * \param a, b      Names, UTF-8.
+ * \param weight    Share of the second, in [0, 1].
+ * \param material  Receives the material, to be released with glimt_material_release(); NULL on error.
+ *
+ * \return GLIMT_OK; GLIMT_ERROR_MATERIAL if there is no such material; GLIMT_ERROR_PARAMETER if the two cannot be
+ * mixed, or for a weight outside [0, 1]; GLIMT_ERROR_ARGUMENT.
+ */
+enum glimt_status glimt_library_mix(const struct glimt_library *library,
+                                    const char *a,
+                                    const char *b,
+                                    float weight,
+                                    struct glimt_material **material);
 
 /**
  * Releases a material. NULL is ignored.
