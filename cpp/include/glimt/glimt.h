@@ -280,7 +280,8 @@ enum glimt_status glimt_eval(const struct glimt_material *material,
 /**
  * Density in 1/sr (solid angle of light) with which glimt_sample() chooses light for view.
  *
- * Directions as for glimt_eval(); 0 where f is 0 for them. Allocates no memory.
+ * Directions as for glimt_eval(); 0 where f is 0 for them. Allocates no memory, but in the first
+ * call of a density or sample of a material, which makes its sampler in some milliseconds.
  *
  * \param pdf  Receives one number.
  *
@@ -295,7 +296,7 @@ enum glimt_status glimt_pdf(const struct glimt_material *material,
  * Chooses a light direction for a view direction.
  *
  * A direction that falls below the horizon is a failed sample: pdf 0 and weight 0, and GLIMT_OK.
- * Allocates no memory.
+ * Allocates no memory but in the first call, as glimt_pdf().
  *
  * \param view  Unit vector, as for glimt_eval().
  * \param u     Three random numbers in [0, 1): the first selects the lobe, the others a direction.
@@ -328,7 +329,7 @@ enum glimt_status glimt_eval_batch(const struct glimt_material *material,
 /**
  * glimt_pdf() for n pairs.
  *
- * Runs in the calling thread. Allocates no memory.
+ * Runs in the calling thread. Allocates no memory but in the first call, as glimt_pdf().
  *
  * \param light  n directions, one after the other: 3 n numbers.
  * \param view   As many directions.
@@ -345,7 +346,7 @@ enum glimt_status glimt_pdf_batch(const struct glimt_material *material,
 /**
  * glimt_sample() for n view directions.
  *
- * Runs in the calling thread. Allocates no memory.
+ * Runs in the calling thread. Allocates no memory but in the first call, as glimt_pdf().
  *
  * \param view     n directions, one after the other: 3 n numbers.
  * \param u        3 n random numbers in [0, 1).
