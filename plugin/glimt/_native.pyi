@@ -97,7 +97,7 @@ class Material:
     def sampler_bytes(self) -> int:
         """Bytes of the sampler's tables; 0 for lobes and for a measurement's own warp."""
     def with_sampler(self, sampler: str) -> Material:
-        """A copy with another sampler, made for it now.
+        """A copy with another sampler, which is made when it is first asked for.
 
         "lobes", "table", "table:paper" or "table:VIEWSxRINGSxSECTORS".
         """

@@ -527,7 +527,8 @@ pub unsafe extern "C" fn glimt_eval(
 /// Density in 1/sr (solid angle of light) with which glimt_sample() chooses light for view.
 ///
 /// Directions as for glimt_eval(). Below the horizon on either side, and where a direction holds a NaN,
-/// it is 0; elsewhere it may be positive where f is 0. Allocates no memory.
+/// it is 0; elsewhere it may be positive where f is 0. Allocates no memory, but in the first call of a
+/// density or sample of a material, which makes its sampler in some milliseconds.
 ///
 /// \param pdf  Receives one number.
 ///
@@ -550,7 +551,7 @@ pub unsafe extern "C" fn glimt_pdf(
 /// Chooses a light direction for a view direction.
 ///
 /// A direction that falls below the horizon is a failed sample: pdf 0 and weight 0, and GLIMT_OK.
-/// Allocates no memory.
+/// Allocates no memory but in the first call, as glimt_pdf().
 ///
 /// \param view  Unit vector, as for glimt_eval().
 /// \param u     Three random numbers in [0, 1): the first selects the lobe, the others a direction.
@@ -612,7 +613,7 @@ pub unsafe extern "C" fn glimt_eval_batch(
 
 /// glimt_pdf() for n pairs.
 ///
-/// Runs in the calling thread. Allocates no memory.
+/// Runs in the calling thread. Allocates no memory but in the first call, as glimt_pdf().
 ///
 /// \param light  n directions, one after the other: 3 n numbers.
 /// \param view   As many directions.
@@ -643,7 +644,7 @@ pub unsafe extern "C" fn glimt_pdf_batch(
 
 /// glimt_sample() for n view directions.
 ///
-/// Runs in the calling thread. Allocates no memory.
+/// Runs in the calling thread. Allocates no memory but in the first call, as glimt_pdf().
 ///
 /// \param view     n directions, one after the other: 3 n numbers.
 /// \param u        3 n random numbers in [0, 1).
