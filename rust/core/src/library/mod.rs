@@ -146,7 +146,7 @@ impl Library {
             if !names.insert(entry.name.as_str()) {
                 return Err(format!("two materials are named \"{}\"", entry.name));
             }
-            if architecture(&entry.material) != architecture(first) {
+            if Architecture::of(&entry.material) != Architecture::of(first) {
                 return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
             }
             let together =
@@ -340,11 +340,22 @@ fn activation(material: &Material) -> Option<Activation> {
     material.network().map(Network::activation)
 }
 
-/// Model, sizes and activation: what the materials of one library have in common.
-fn architecture(material: &Material) -> (Kind, Option<Value>, Vec<(usize, usize)>, Option<Activation>) {
-    let layers = material.network().map_or(&[][..], Network::layers);
-    let sizes = layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect();
-    (material.kind(), form(material), sizes, activation(material))
+/// What the materials of one library have in common.
+#[derive(PartialEq)]
+struct Architecture {
+    kind: Kind,
+    form: Option<Value>,
+    /// Outputs and inputs of each layer.
+    sizes: Vec<(usize, usize)>,
+    activation: Option<Activation>,
+}
+
+impl Architecture {
+    fn of(material: &Material) -> Architecture {
+        let layers = material.network().map_or(&[][..], Network::layers);
+        let sizes = layers.iter().map(|layer| (layer.outputs(), layer.inputs())).collect();
+        Architecture { kind: material.kind(), form: form(material), sizes, activation: activation(material) }
+    }
 }
 
 fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
