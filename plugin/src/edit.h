@@ -48,8 +48,11 @@ template <typename Float> struct TracedEdit {
         return { dr::select(is_wider, turned(light), light), dr::select(is_wider, turned(view), view) };
     }
 
-    /// The factor by which what the network adds follows the analytic value.
-    static Color3f change(const Color3f &from, const Color3f &to) { return (to + Floor) / (from + Floor); }
+    /// The factor by which a residual ≥ 0 follows the analytic value.
+    static Color3f change(const Color3f &from, const Color3f &to, const Color3f &residual) {
+        Color3f growth = dr::maximum(to - from, 0.f) / (to + Floor), floor = dr::fmadd(growth, residual, Floor);
+        return (to + floor) / (from + floor);
+    }
 
     /// The share of what the network adds that stays: the lesser of those for light and view, interpolated
     /// between \c shares.

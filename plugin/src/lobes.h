@@ -72,9 +72,9 @@ private:
     /// The shares at a view, linear between the knots.
     Shares shares(const Vector3f &view, const Mask &active) const {
         // Not the root of 0, which has no derivative.
-        Float cosine_root = dr::sqrt(dr::clip(view.z(), Tiny, 1.f)),
-              rest_root = dr::sqrt(dr::maximum(1.f - view.z(), Tiny));
-        Float place = (1.f + cosine_root - rest_root) * (.5f * (float) m_last_knot);
+        Float cosine = dr::clip(view.z(), Tiny, 1.f), rest_root = dr::sqrt(dr::maximum(1.f - view.z(), Tiny));
+        // 1 − √(1 − cosθ) is written so that grazing views keep their digits.
+        Float place = (dr::sqrt(cosine) + cosine / (1.f + rest_root)) * (.5f * (float) m_last_knot);
         UInt32 knot = dr::minimum(UInt32(place), m_last_knot - 1);
         Float t = place - Float(knot);
         Shares below = dr::gather<Shares>(m_shares, knot, active),

@@ -71,14 +71,20 @@ private:
         x.insert(x.end(), z.begin(), z.end());
         auto y = forward(m_model.network, std::move(x));
         Color3f a = dr::minimum(Color3f(y[0], y[1], y[2]), m_model.bound);
-        Color3f change = TracedEdit<Float>::change(fitted, analytic);
+        auto change = [&](const Color3f &residual) {
+            return TracedEdit<Float>::change(fitted, analytic, residual);
+        };
         Float room = TracedEdit<Float>::room(shares, light.z(), view.z(), active);
         switch (m_model.composition) {
-            case core::Composition::GatedResidual:
-                return dr::exp(a) * change * room + analytic / (1.f + dr::exp(-Color3f(y[3], y[4], y[5])));
-            case core::Composition::Additive:
-                return dr::maximum(
-                    analytic + change * (dr::maximum(a, 0.f) * room + dr::minimum(a, 0.f)), 0.f);
+            case core::Composition::GatedResidual: {
+                Color3f residual = dr::exp(a);
+                return residual * change(residual) * room +
+                       analytic / (1.f + dr::exp(-Color3f(y[3], y[4], y[5])));
+            }
+            case core::Composition::Additive: {
+                Color3f more = dr::maximum(a, 0.f), less = dr::minimum(a, 0.f);
+                return dr::maximum(analytic + change(more - less) * (more * room + less), 0.f);
+            }
             default: { // LogMultiplicative
                 Color3f factor = dr::exp(a);
                 return analytic * (dr::minimum(factor, 1.f) + dr::maximum(factor - 1.f, 0.f) * room);

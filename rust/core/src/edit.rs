@@ -6,9 +6,10 @@
 //!
 //! f = s · exp a · (f_a(p) + ε)/(f_a(p₀) + ε) + sigmoid b · f_a(p).
 //!
-//! - The residual changes as the analytic part does: a lobe that an edit makes wider takes its residual
-//!   along, and a darker k_d darkens it. ε, a dark diffuse reflectance, keeps the ratio from amplifying what
-//!   the network added where the fitted analytic part reflects next to nothing.
+//! - The residual changes as the analytic part does ([`change`]): a lobe that an edit makes wider takes its
+//!   residual along, and a darker k_d darkens it. ε is a dark diffuse reflectance where f_a falls, and becomes the
+//!   residual itself where it rises: where the fitted analytic part reflects next to nothing, a ratio
+//!   means nothing, and the residual grows by no more than the analytic part does.
 //! - Where the lobe becomes wider, the narrow one that was fitted would show in it as a dimple. [`Turn`] asks the
 //!   network beside that lobe instead, the farther the wider the new one is.
 //! - A ratio alone conserves nothing. [`Room`] is s: the share of the residual that leaves the albedo of every
@@ -26,8 +27,19 @@ use crate::lobes::{sample_cosine, sample_visible_normal, visible_normal_pdf};
 use crate::microfacet::{Half, Microfacet};
 use crate::simd::Real;
 
-/// ε: what the analytic part of a diffuse albedo of 5 % reflects.
+/// ε where f_a falls: what the analytic part of a diffuse albedo of 5 % reflects.
 pub const FLOOR: f32 = 0.05 * FRAC_1_PI;
+
+/// The factor by which the network's `residual` ≥ 0 follows the analytic value from `fitted` to `edited`.
+///
+/// At most 1 + (edited + ε)/residual, and without a kink where the two are equal.
+#[inline(always)]
+#[must_use]
+pub fn change<F: Real>(fitted: F, edited: F, residual: F) -> F {
+    let growth = (edited - fitted).max(edited.splat(0.0)) / (edited + FLOOR);
+    let floor = growth.fma(residual, edited.splat(FLOOR));
+    (edited + floor) / (fitted + floor)
+}
 
 /// By how much of the growth of α the half vector is turned aside. Less leaves a dimple, more asks the network
 /// where little of the lobe is left.
@@ -338,6 +350,14 @@ pub mod reference {
         (turned(light), turned(view))
     }
 
+    /// [`change`](super::change).
+    #[must_use]
+    pub fn change(fitted: f64, edited: f64, residual: f64) -> f64 {
+        let floor = f64::from(super::FLOOR);
+        let growth = ((edited - fitted) / (edited + floor)).max(0.0);
+        (edited + floor + growth * residual) / (fitted + floor + growth * residual)
+    }
+
     /// [`Room::share`], as an interpolation.
     #[must_use]
     pub fn share(room: &Room, cos_light: f64, cos_view: f64) -> f64 {
@@ -387,6 +407,19 @@ mod tests {
             let share: f32 = room.share([0.0, 0.0, light], [0.0, 0.0, view]);
             let truth = reference::share(&room, light.into(), view.into());
             prop_assert!((f64::from(share) - truth).abs() < 1e-5, "{} {}", share, truth);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_residual_grows_by_no_more_than_the_analytic_part(
+            fitted in 0.0..100.0f32, edited in 0.0..100.0f32, residual in 1e-3..100.0f32
+        ) {
+            let changed = residual * change(fitted, edited, residual);
+            prop_assert!(changed <= (residual + edited + FLOOR) * 1.000_01);
+            prop_assert!((changed >= residual) == (edited >= fitted) || (changed - residual).abs() < 1e-4 * residual);
+            let exact = reference::change(fitted.into(), edited.into(), residual.into());
+            prop_assert!((f64::from(change(fitted, edited, residual)) - exact).abs() < 1e-5 * exact);
         }
     }
 

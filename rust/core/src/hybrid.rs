@@ -65,12 +65,15 @@ impl Composition {
     #[must_use]
     pub fn compose_edited<F: Real>(self, a: F, b: F, fitted: F, edited: F, room: F, bound: f32) -> F {
         let a = a.at_most(bound);
-        let change = (edited + edit::FLOOR) / (fitted + edit::FLOOR);
         let (zero, one) = (a.splat(0.0), a.splat(1.0));
         match self {
-            Composition::GatedResidual => sigmoid(b).fma(edited, exp(a) * change * room),
+            Composition::GatedResidual => {
+                let residual = exp(a);
+                sigmoid(b).fma(edited, residual * edit::change(fitted, edited, residual) * room)
+            }
             Composition::Additive => {
                 let (more, less) = (a.max(zero), a.min(zero));
+                let change = edit::change(fitted, edited, more - less);
                 change.fma(more.fma(room, less), edited).max(zero)
             }
             Composition::LogMultiplicative => {
@@ -488,11 +491,12 @@ pub mod reference {
         let room = edit.map_or(1.0, |edit| edit::reference::share(&edit.room, light.z, view.z));
         std::array::from_fn(|c| {
             let a = y[c].min(material.bound.into());
-            let floor = f64::from(edit::FLOOR);
-            let change = (edited[c] + floor) / (analytic[c] + floor);
+            let change = |residual: f64| edit::reference::change(analytic[c], edited[c], residual);
             match material.form.composition {
-                Composition::GatedResidual => room * change * exp(a) + sigmoid(y[c + 3]) * edited[c],
-                Composition::Additive => (edited[c] + change * (room * a.max(0.0) + a.min(0.0))).max(0.0),
+                Composition::GatedResidual => room * change(exp(a)) * exp(a) + sigmoid(y[c + 3]) * edited[c],
+                Composition::Additive => {
+                    (edited[c] + change(a.abs()) * (room * a.max(0.0) + a.min(0.0))).max(0.0)
+                }
                 Composition::LogMultiplicative => {
                     edited[c] * (exp(a).min(1.0) + room * (exp(a) - 1.0).max(0.0))
                 }

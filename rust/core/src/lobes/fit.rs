@@ -350,8 +350,13 @@ impl<'a> Mixture<'a> {
         for _ in 0..NEWTON_STEPS {
             let [moment, slope, curvature] = self.moment_along(lobe, share);
             least = least.min(moment);
+            let step = slope / curvature.max(f32::MIN_POSITIVE);
+            // Not so where a BRDF is as bright as float32 allows.
+            if !step.is_finite() {
+                break;
+            }
             // Never to the ends, where the next step would see nothing of the other lobe.
-            share = (share - slope / curvature.max(f32::MIN_POSITIVE)).clamp(0.1 * share, 0.1 * share + 0.9);
+            share = (share - step).clamp(0.1 * share, 0.1 * share + 0.9);
         }
         least - 1.0
     }

@@ -84,7 +84,8 @@ impl Lobes {
     #[must_use]
     pub fn shares_at(&self, cos_view: f32) -> Shares {
         let cos = cos_view.min(1.0);
-        let place = (1.0 + cos.sqrt() - (1.0 - cos).sqrt()) * (0.5 * (KNOTS - 1) as f32);
+        // 1 − √(1 − cosθ) is written so that grazing views keep their digits.
+        let place = (cos.sqrt() + cos / (1.0 + (1.0 - cos).sqrt())) * (0.5 * (KNOTS - 1) as f32);
         let knot = (place as usize).min(KNOTS - 2);
         let t = place - knot as f32;
         let (below, above) = (&self.shares[knot], &self.shares[knot + 1]);
