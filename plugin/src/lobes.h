@@ -4,7 +4,7 @@
 
 #include <mitsuba/core/vector.h>
 
-#include "glimt-ffi/src/bridge.rs.h"
+#include "glimt-mitsuba/src/bridge.rs.h"
 #include "microfacet.h"
 
 namespace glimt {
