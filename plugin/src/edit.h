@@ -61,7 +61,9 @@ template <typename Float> struct TracedEdit {
         using UInt32 = dr::uint32_array_t<Float>;
         const uint32_t steps = (uint32_t) dr::width(shares) - 1;
         auto share = [&](const Float &cos) {
-            Float place = dr::sqrt(dr::clip(dr::detach(cos), 0.f, 1.f)) * (float) steps;
+            // See rust/core/src/elevations.rs.
+            Float c = dr::clip(dr::detach(cos), 0.f, 1.f);
+            Float place = (dr::sqrt(c) + c / (1.f + dr::sqrt(1.f - c))) * (.5f * (float) steps);
             UInt32 knot = dr::minimum(UInt32(place), steps - 1);
             Float from = dr::gather<Float>(shares, knot, active), to = dr::gather<Float>(shares, knot + 1, active);
             return dr::lerp(from, to, place - Float(knot));

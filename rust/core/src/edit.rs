@@ -23,6 +23,7 @@ use std::f32::consts::FRAC_1_PI;
 use glam::Vec3;
 
 use crate::brdf::{Brdf, is_lit};
+use crate::elevations;
 use crate::lobes::{sample_cosine, sample_visible_normal, visible_normal_pdf};
 use crate::microfacet::{Half, Microfacet};
 use crate::simd::Real;
@@ -93,9 +94,8 @@ impl Turn {
     }
 }
 
-/// Cosines between which [`Room`] interpolates: the squares of evenly spaced numbers, as albedos change
-/// fast towards grazing angles.
-pub const KNOTS: usize = 16;
+/// Elevations between which [`Room`] interpolates, see [`elevations`].
+pub const KNOTS: usize = 24;
 
 /// Steps between knots.
 const STEPS: usize = KNOTS - 1;
@@ -107,14 +107,13 @@ const HEADROOM: f32 = 1.02;
 /// View cosine of each knot. The first stands for the horizon itself, where nothing can be integrated.
 fn cos_theta(knot: usize) -> f32 {
     const GRAZING: f32 = 1e-3;
-    let root = knot as f32 / STEPS as f32;
-    (root * root).max(GRAZING)
+    elevations::cos_at(knot as f32 / STEPS as f32).clamp(GRAZING, 1.0)
 }
 
 /// The directional albedo at each knot's view, and the largest over the azimuths that were looked at.
 pub type Albedos = [[f32; 3]; KNOTS];
 
-/// The share of the network's residual that there is room for, between the cosines of [`KNOTS`] views.
+/// The share of the network's residual that there is room for, between [`KNOTS`] elevations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Room {
     shares: [f32; KNOTS],
@@ -142,7 +141,7 @@ impl Room {
     /// The share for one direction: a sum of ramps, each of which rises by the step between two knots.
     #[inline(always)]
     fn at<F: Real>(&self, cos_theta: F) -> F {
-        let place = cos_theta.max(cos_theta.splat(0.0)).sqrt() * STEPS as f32;
+        let place = elevations::place(cos_theta) * STEPS as f32;
         let mut share = place.splat(self.shares[0]);
         for i in 0..STEPS {
             let ramp = (place - i as f32).clamped(0.0, 1.0);
@@ -362,7 +361,7 @@ pub mod reference {
     #[must_use]
     pub fn share(room: &Room, cos_light: f64, cos_view: f64) -> f64 {
         let of = |cos_theta: f64| {
-            let place = cos_theta.sqrt() * STEPS as f64;
+            let place = 0.5 * (cos_theta.sqrt() + 1.0 - (1.0 - cos_theta).sqrt()) * STEPS as f64;
             let knot = (place as usize).min(STEPS - 1);
             let [from, to] = [room.shares[knot], room.shares[knot + 1]].map(f64::from);
             from + (to - from) * (place - knot as f64).min(1.0)

@@ -3,6 +3,7 @@
 pub mod analytic;
 pub mod brdf;
 pub mod edit;
+pub mod elevations;
 pub mod error;
 pub mod factor;
 pub mod features;

@@ -12,7 +12,7 @@
 //! | `network.i.weight`, `network.i.bias` | (out, in), (out); with a leading axis of materials where each has a network of its own | hybrid, neural, nbrdf |
 //! | `frames.weight`, `frames.bias` | (18, l), (18) | neural |
 //! | `fitted.kd`, `fitted.eta`, `fitted.alpha` | as `kd`, `eta`, `alpha` | hybrid, where a material is an edit |
-//! | `fitted.latent`, `fitted.albedo`, `fitted.mixed` | (materials, l), (materials, 48), (materials) | hybrid and neural, where a material is an edit or a mix |
+//! | `fitted.latent`, `fitted.albedo`, `fitted.mixed` | (materials, l), (materials, 72), (materials) | hybrid and neural, where a material is an edit or a mix |
 //! | `diffuse`, `specular` | (materials, 3) | factor, but for bivariate |
 //! | `ndf`, `fresnel` | (materials, 3, 90) | factor, but for bivariate |
 //! | `masking` | (materials, 3, 90) | factor, independent-g |

@@ -10,10 +10,9 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
 
-use super::{
-    GGX_LOBES, KNOTS, Lobes, Shares, cos_at, sample_cosine, sample_visible_normal, visible_normal_pdf,
-};
+use super::{GGX_LOBES, KNOTS, Lobes, Shares, sample_cosine, sample_visible_normal, visible_normal_pdf};
 use crate::brdf::{Brdf, is_lit};
+use crate::elevations::cos_at;
 use crate::microfacet::MIN_ALPHA;
 
 /// Ratio of neighbouring roughnesses to try.
@@ -214,7 +213,7 @@ impl View {
 
 /// Pairs of directions at a knot, the lights drawn from each lobe in turn.
 fn draw(knot: usize, candidates: &[[f32; 2]], is_isotropic: bool) -> (Vec<Vec3>, Vec<Vec3>) {
-    let cos_view = cos_at((knot as f32).max(FIRST_KNOT));
+    let cos_view = cos_at((knot as f32).max(FIRST_KNOT) / (KNOTS - 1) as f32);
     let sin_view = (1.0 - cos_view * cos_view).sqrt();
     let azimuth_at = |i: usize| if is_isotropic { 0.6 } else { TAU * (i as f32 * GOLDEN_SECTION).fract() };
     let lobes = [(None, COSINE_PROBES)].into_iter();

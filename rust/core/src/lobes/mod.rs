@@ -5,11 +5,12 @@
 //! views, about as many degrees apart and closer near grazing, and are linear in between. [`Lobes::fit`] chooses both for
 //! any BRDF by the variance that they give.
 
-use std::f32::consts::{FRAC_1_PI, FRAC_1_SQRT_2, FRAC_PI_4, PI, TAU};
+use std::f32::consts::{FRAC_1_PI, PI, TAU};
 
 use glam::Vec3;
 
 use crate::brdf::is_lit;
+use crate::elevations;
 use crate::microfacet::{Half, masking_denominator};
 
 mod fit;
@@ -20,8 +21,7 @@ pub use fit::candidates;
 pub const GGX_LOBES: usize = 4;
 /// Where the cosine lobe stands among the shares, after the GGX lobes.
 pub const COSINE: usize = GGX_LOBES;
-/// Views at which shares are kept: from grazing to the normal in equal steps of √cosθ − √(1 − cosθ), which is
-/// linear in θ at the normal and in the root of the elevation at the horizon.
+/// Views at which shares are kept, see [`elevations`].
 pub const KNOTS: usize = 16;
 
 /// Probability of each lobe: the GGX lobes, then the cosine lobe. The sum is 1.
@@ -83,9 +83,7 @@ impl Lobes {
     #[inline]
     #[must_use]
     pub fn shares_at(&self, cos_view: f32) -> Shares {
-        let cos = cos_view.min(1.0);
-        // 1 − √(1 − cosθ) is written so that grazing views keep their digits.
-        let place = (cos.sqrt() + cos / (1.0 + (1.0 - cos).sqrt())) * (0.5 * (KNOTS - 1) as f32);
+        let place = elevations::place(cos_view) * (KNOTS - 1) as f32;
         let knot = (place as usize).min(KNOTS - 2);
         let t = place - knot as f32;
         let (below, above) = (&self.shares[knot], &self.shares[knot + 1]);
@@ -122,14 +120,6 @@ impl Lobes {
         };
         is_lit(light, view).then(|| (light, self.pdf_lit(light, view, &shares)))
     }
-}
-
-/// The cosine of the view at a place among the knots.
-fn cos_at(place: f32) -> f32 {
-    // √cosθ = cos β and √(1 − cosθ) = sin β, and their difference is √2 cos(β + π/4).
-    let difference = 2.0 * place / (KNOTS - 1) as f32 - 1.0;
-    let beta = (difference * FRAC_1_SQRT_2).acos() - FRAC_PI_4;
-    beta.cos().powi(2)
 }
 
 /// The lobe that a number in [0, 1) selects.

@@ -131,7 +131,7 @@ fn weight_is_f_cos_over_pdf() {
 fn shares_are_those_of_the_knots_and_linear_in_between() {
     let lobes = mixed([[0.1; 2], [0.2; 2], [0.3; 2], [0.4; 2]]);
     for knot in 0..KNOTS {
-        let at = lobes.shares_at(cos_at(knot as f32));
+        let at = lobes.shares_at(crate::elevations::cos_at(knot as f32 / (KNOTS - 1) as f32));
         let near = |a: f32, b: f32| (a - b).abs() < 1e-4;
         assert!(at.iter().zip(lobes.shares()[knot]).all(|(&a, b)| near(a, b)), "{knot}: {at:?}");
     }
