@@ -104,10 +104,13 @@ const STEPS: usize = KNOTS - 1;
 /// with an albedo above 1 is not held fast at the least edit, and has its own derivatives there.
 const HEADROOM: f32 = 1.02;
 
-/// View cosine of each knot. The first stands for the horizon itself, where nothing can be integrated.
-fn cos_theta(knot: usize) -> f32 {
+/// Elevations that are looked at: the knots and the middles between them, where an albedo could exceed both.
+const ELEVATIONS: usize = 2 * KNOTS - 1;
+
+/// View cosine of each elevation. The first stands for the horizon itself, where nothing can be integrated.
+fn cos_theta(elevation: usize) -> f32 {
     const GRAZING: f32 = 1e-3;
-    elevations::cos_at(knot as f32 / STEPS as f32).clamp(GRAZING, 1.0)
+    elevations::cos_at(elevation as f32 / (ELEVATIONS - 1) as f32).clamp(GRAZING, 1.0)
 }
 
 /// The directional albedo at each knot's view, and the largest over the azimuths that were looked at.
@@ -154,23 +157,36 @@ impl Room {
     /// with a little headroom.
     #[must_use]
     pub fn of(views: &Views, allowed: &Allowed, gated: &dyn Brdf, whole: &dyn Brdf) -> Room {
-        let mut shares = [1.0; KNOTS];
-        for (knot, (share, sights)) in shares.iter_mut().zip(&views.of_knots).enumerate() {
+        let room_at = |(elevation, sights): (usize, &Vec<Sight>)| -> f32 {
+            // Of a middle both knots.
+            let ends = [elevation / 2, elevation.div_ceil(2)].map(|knot| allowed.ends.map(|ends| ends[knot]));
+            let ends = ends.into_iter().flatten().fold([0.0; 3], greater);
+            let mut share: f32 = 1.0;
             for sight in sights {
                 // All by the same directions, so that an edit of nothing leaves room for all.
                 let [before, analytic] = [sight.albedo(allowed.before), sight.albedo(allowed.analytic)];
                 let [gated, whole] = [sight.albedo(gated), sight.albedo(whole)];
                 for c in 0..3 {
-                    let ends = allowed.ends.map_or(0.0, |ends| ends[knot][c]);
-                    let most = HEADROOM * ends.max(before[c]).max(analytic[c]).max(1.0);
+                    let most = HEADROOM * ends[c].max(before[c]).max(analytic[c]).max(1.0);
                     if whole[c] > most {
-                        *share = share.min(((most - gated[c]) / (whole[c] - gated[c])).max(0.0));
+                        share = share.min(((most - gated[c]) / (whole[c] - gated[c])).max(0.0));
                     }
                 }
             }
-        }
-        Room { shares }
+            share
+        };
+        let rooms: Vec<f32> = views.of_elevations.iter().enumerate().map(room_at).collect();
+        let least = |knot: usize| {
+            let [from, to] = [(2 * knot).saturating_sub(1), (2 * knot + 1).min(ELEVATIONS - 1)];
+            rooms[from..=to].iter().copied().fold(1.0, f32::min)
+        };
+        Room { shares: std::array::from_fn(least) }
     }
+}
+
+/// The greater of each channel.
+fn greater(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|c| a[c].max(b[c]))
 }
 
 /// Whose albedos an edited material may reach.
@@ -196,8 +212,7 @@ impl Origin {
     /// Of a mix of two materials with these albedos.
     #[must_use]
     pub fn mix(a: &Albedos, b: &Albedos) -> Origin {
-        let greater = |knot: usize| std::array::from_fn(|c| a[knot][c].max(b[knot][c]));
-        Origin::Mix(Box::new(std::array::from_fn(greater)))
+        Origin::Mix(Box::new(std::array::from_fn(|knot| greater(a[knot], b[knot]))))
     }
 
     /// The albedos of a mix's materials.
@@ -243,9 +258,9 @@ impl Brdf for Black {
     }
 }
 
-/// Views of every knot, with directions over which albedos are integrated.
+/// Views of every elevation, with directions over which albedos are integrated.
 pub struct Views {
-    of_knots: Vec<Vec<Sight>>,
+    of_elevations: Vec<Vec<Sight>>,
 }
 
 /// One view, and light directions with their share of ∫ f cosθ.
@@ -266,8 +281,8 @@ impl Views {
     #[must_use]
     pub fn new(is_isotropic: bool, alphas: &[[f32; 2]]) -> Views {
         let (azimuths, directions) = if is_isotropic { (1, DIRECTIONS) } else { (AZIMUTHS, DIRECTIONS / 2) };
-        let of_knot = |knot| {
-            let z = cos_theta(knot);
+        let of_elevation = |elevation| {
+            let z = cos_theta(elevation);
             let r = (1.0 - z * z).sqrt();
             let sight = |i: usize| {
                 let phi = (i as f32 + 0.5) / azimuths as f32 * std::f32::consts::TAU;
@@ -275,20 +290,16 @@ impl Views {
             };
             (0..azimuths).map(sight).collect()
         };
-        Views { of_knots: (0..KNOTS).map(of_knot).collect() }
+        Views { of_elevations: (0..ELEVATIONS).map(of_elevation).collect() }
     }
 
-    /// Albedos of `brdf`.
+    /// Albedos of `brdf` at the knots.
     #[must_use]
     pub fn albedos(&self, brdf: &dyn Brdf) -> Albedos {
-        let mut albedos = [[0.0; 3]; KNOTS];
-        for (albedo, sights) in albedos.iter_mut().zip(&self.of_knots) {
-            for sight in sights {
-                let of_view = sight.albedo(brdf);
-                *albedo = std::array::from_fn(|c| albedo[c].max(of_view[c]));
-            }
-        }
-        albedos
+        let at = |knot: usize| {
+            self.of_elevations[2 * knot].iter().map(|sight| sight.albedo(brdf)).fold([0.0; 3], greater)
+        };
+        std::array::from_fn(at)
     }
 }
 
