@@ -298,12 +298,13 @@ mod tests {
     proptest! {
         #[test]
         fn mutated_files_never_panic(at in 0..200usize, byte in any::<u8>(), cut in 0..200usize) {
-            let mut bytes = Array { shape: vec![2, 5], values: vec![1.0; 10] }.to_bytes();
-            let length = bytes.len();
+            let whole = Array { shape: vec![2, 5], values: vec![1.0; 10] }.to_bytes();
+            let (length, mut bytes) = (whole.len(), whole.clone());
             bytes[at % length] = byte;
             let _ = Array::from_bytes(&bytes);
-            bytes.truncate(cut % length);
-            prop_assert!(Array::from_bytes(&bytes).is_err());
+            // With another header length, numbers may begin so early that enough of them are left.
+            let _ = Array::from_bytes(&bytes[..cut % length]);
+            prop_assert!(Array::from_bytes(&whole[..cut % length]).is_err());
         }
     }
 }
