@@ -60,6 +60,19 @@ def assert_close(f_cos, pdf, expected_f, expected_pdf, light, where):
     np.testing.assert_allclose(pdf, expected_pdf, rtol=1e-5, atol=UNDERFLOW, err_msg=str(where))
 
 
+# A traced model rounds otherwise than the core: by 5.1e-7 of the largest channel of f with AVX-512.
+TRACED_RELATIVE = 1e-6
+
+
+def assert_close_when_traced(f_cos, f, light, where):
+    """What a traced model answers is f cosθ of the core."""
+    cosine = np.maximum(np.nan_to_num(light[:, 2:], posinf=0, neginf=0), 0)
+    allowed = TRACED_RELATIVE * f.max(axis=1, keepdims=True) * cosine + UNDERFLOW
+    excess = np.abs(f_cos - f * cosine) - allowed
+    worst = np.unravel_index(np.argmax(excess), excess.shape)
+    assert excess[worst] <= 0, f"{where}: {f_cos[worst]} against {(f * cosine)[worst]} at pair {worst[0]}"
+
+
 def load(mi, path, answers):
     """A file of the catalogue as a BSDF."""
     sampler = {"sampler": answers.sampler} if answers.sampler else {}
@@ -95,7 +108,9 @@ def test_mitsuba_llvm_has_the_answers_of_the_core(catalogue, traced):
         value, density = np.array(dr.detach(value)).T, np.array(dr.detach(density))
         assert_valid(value, density, answers.reaches_all, path)
         # Places in tables jump where a coordinate becomes 0; the scalar test compares these.
-        if not traced and not path.stem.startswith(("spherical", "tabulated")):
+        if traced:
+            assert_close_when_traced(value[kept], f[kept], light[kept], path)
+        elif not path.stem.startswith(("spherical", "tabulated")):
             assert_close(value[kept], density[kept], f[kept], pdf[kept], light[kept], path)
         sample, weight = bsdf.sample(context, si, mi.Float(random[0]), mi.Point2f(random[1:]))
         parts = (sample.wo.z, sample.pdf, weight)
