@@ -57,7 +57,8 @@ def assert_close(f_cos, pdf, expected_f, expected_pdf, light, where):
     """What Mitsuba answers is f cosθ and the pdf of the core, to a few ULP."""
     expected = expected_f * np.maximum(np.nan_to_num(light[:, 2:], posinf=0, neginf=0), 0)
     np.testing.assert_allclose(f_cos, expected, rtol=1e-5, atol=UNDERFLOW, err_msg=str(where))
-    np.testing.assert_allclose(pdf, expected_pdf, rtol=1e-5, atol=UNDERFLOW, err_msg=str(where))
+    # Shares are interpolated: where a small one is between greater ones, rounding is 1.12e-5 of the density.
+    np.testing.assert_allclose(pdf, expected_pdf, rtol=1.25e-5, atol=UNDERFLOW, err_msg=str(where))
 
 
 # A traced model rounds otherwise than the core: by 5.1e-7 of the largest channel of f with AVX-512.
