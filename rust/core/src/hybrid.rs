@@ -14,9 +14,9 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::{Brdf, is_lit};
 use crate::edit::{self, Albedos, Allowed, Black, Edit, Fitted, Origin, Room, Turn, Views};
 use crate::features::{Inputs, MAX_FEATURES};
+use crate::ggx::Ggx;
 use crate::kernel::{Kernel, splat3};
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
@@ -280,7 +280,7 @@ impl Hybrid {
             Hybrid::new(self.form, self.network.clone(), origin, fitted.latent.clone(), self.bound)?;
         let allowed = Allowed {
             before: if fitted.origin == Origin::Fit { &unedited } else { &Black },
-            analytic: &Analytic(&self.microfacet),
+            analytic: &Ggx::new(self.microfacet)?,
             ends: fitted.origin.ends(),
         };
         let room = Room::of(&views, &allowed, &with(Room::NONE), &with(Room::ALL));
@@ -384,15 +384,6 @@ impl Model for Hybrid {
 
     fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
         Hybrid::mix(self, other, t)
-    }
-}
-
-/// f_a alone, as a BRDF.
-struct Analytic<'a>(&'a Microfacet);
-
-impl Brdf for Analytic<'_> {
-    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        if is_lit(light, view) { self.0.eval(light.into(), view.into()).into() } else { Vec3::ZERO }
     }
 }
 
