@@ -20,10 +20,10 @@ use glimt_core::{AnyModel, Brdf, Library, Material, is_lit};
 use glimt_report::study::light::Light;
 use glimt_report::study::sphere::LitSphere;
 
-const MATERIALS: [&str; 3] = ["chm_orange", "chm_light_blue", "aurora_white"];
+const MATERIALS: [&str; 2] = ["chm_orange", "chm_light_blue"];
 const ALPHAS: [f32; 6] = [0.02, 0.05, 0.1, 0.2, 0.4, 0.8];
-const SIZE: usize = 110;
-const DIRECTIONS: usize = 64;
+const SIZE: usize = 80;
+const DIRECTIONS: usize = 512;
 
 #[derive(Clone, Copy)]
 enum Rule {
