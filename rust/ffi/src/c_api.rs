@@ -8,15 +8,19 @@
 
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
+use std::fmt::Display;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr;
 
+use glimt_core::microfacet::Microfacet;
 use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
 use glimt_disk::printable;
 use glimt_files::Source;
 
+use crate::pointer::{Held, In, Out};
+
 /// What `f` returns, or `fallback` where it panics: a panic that reached C would end the process.
-fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
+pub(crate) fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
     catch_unwind(AssertUnwindSafe(f)).unwrap_or(fallback)
 }
 
@@ -133,11 +137,7 @@ pub(crate) fn fail(status: glimt_status, message: impl Into<String>) -> glimt_st
     status
 }
 
-pub(crate) fn missing(argument: &str) -> glimt_status {
-    fail(GLIMT_ERROR_ARGUMENT, format!("{argument} is NULL"))
-}
-
-fn fail_with(error: &Error) -> glimt_status {
+fn fail_with(error: Error) -> glimt_status {
     let status = match error {
         Error::Read { .. } => GLIMT_ERROR_READ,
         Error::Write { .. } => GLIMT_ERROR_WRITE,
@@ -152,7 +152,7 @@ fn fail_with(error: &Error) -> glimt_status {
 fn fail_to_open(error: glimt_files::Error) -> glimt_status {
     use glimt_files::Error as Files;
     let status = match error {
-        Files::Library(error) => return fail_with(&error),
+        Files::Library(error) => return fail_with(error),
         Files::Read { .. } | Files::Measured(glimt_measured::Error::Read { .. }) => GLIMT_ERROR_READ,
         Files::Write { .. } => GLIMT_ERROR_WRITE,
         _ => GLIMT_ERROR_FORMAT,
@@ -160,34 +160,13 @@ fn fail_to_open(error: glimt_files::Error) -> glimt_status {
     fail(status, error.to_string())
 }
 
-/// What `f` answers; a panic becomes a status, as it must not reach C.
-pub(crate) fn call(f: impl FnOnce() -> glimt_status) -> glimt_status {
-    guarded(None, || Some(f())).unwrap_or_else(|| {
-        fail(GLIMT_ERROR_INTERNAL, "internal error of glimt; the standard error stream says more")
-    })
-}
-
-/// A string argument.
-///
-/// # Safety
-/// `text` is NULL or ends with a zero byte.
-pub(crate) unsafe fn string<'a>(text: *const c_char, argument: &str) -> Result<&'a str, glimt_status> {
-    if text.is_null() {
-        return Err(missing(argument));
+/// Whether `f` did what it says; a panic becomes a status, as it must not reach C.
+pub(crate) fn call(f: impl FnOnce() -> Result<(), glimt_status>) -> glimt_status {
+    match guarded(None, || Some(f())) {
+        Some(Ok(())) => GLIMT_OK,
+        Some(Err(status)) => status,
+        None => fail(GLIMT_ERROR_INTERNAL, "internal error of glimt; the standard error stream says more"),
     }
-    // SAFETY: the caller's promise.
-    let text = unsafe { CStr::from_ptr(text) };
-    text.to_str().map_err(|_| fail(GLIMT_ERROR_ARGUMENT, format!("{argument} is not UTF-8")))
-}
-
-/// Puts a new object on the heap for C to hold.
-///
-/// # Safety
-/// `out` can be written.
-pub(crate) unsafe fn hand_out<T>(out: *mut *mut T, object: T) -> glimt_status {
-    // SAFETY: the caller's promise.
-    unsafe { *out = Box::into_raw(Box::new(object)) };
-    GLIMT_OK
 }
 
 /// Version of glimt, as "major.minor.patch". A string that is always valid.
@@ -225,25 +204,12 @@ pub unsafe extern "C" fn glimt_library_open(
     library: *mut *mut glimt_library,
 ) -> glimt_status {
     call(|| {
-        if library.is_null() {
-            return missing("library");
-        }
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { *library = ptr::null_mut() };
-        // SAFETY: the caller's promise.
-        let path = match unsafe { string(path, "path") } {
-            Ok(path) => path,
-            Err(status) => return status,
-        };
-        match Source::open(path).and_then(|source| source.library().cloned()) {
-            Err(error) => fail_to_open(error),
-            Ok(opened) => {
-                let names = opened.names().iter().map(|name| c_string(name)).collect();
-                let kind = c_string(opened.kind().name());
-                // SAFETY: the caller's promise.
-                unsafe { hand_out(library, glimt_library { library: opened, names, kind }) }
-            }
-        }
+        let library = Out(library).empty("library")?;
+        let path = In(path).str("path")?;
+        let opened = Source::open(path).and_then(|source| source.library().cloned()).map_err(fail_to_open)?;
+        let names = opened.names().iter().map(|name| c_string(name)).collect();
+        let kind = c_string(opened.kind().name());
+        library.give(glimt_library { library: opened, names, kind }, "library")
     })
 }
 
@@ -255,18 +221,13 @@ fn c_string(text: &str) -> CString {
 /// Closes a library. Its materials stay valid; its names do not. NULL is ignored.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_close(library: *mut glimt_library) {
-    if !library.is_null() {
-        // SAFETY: the caller's promise; it came from `hand_out`.
-        let library = unsafe { Box::from_raw(library) };
-        guarded((), || drop(library));
-    }
+    Held(library).release();
 }
 
 /// Number of materials in a library; 0 for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_size(library: *const glimt_library) -> usize {
-    // SAFETY: the caller's promise.
-    unsafe { library.as_ref() }.map_or(0, |library| library.names.len())
+    In(library).optional().map_or(0, |library| library.names.len())
 }
 
 /// Name of a material, UTF-8; valid until the library is closed.
@@ -274,9 +235,8 @@ pub unsafe extern "C" fn glimt_library_size(library: *const glimt_library) -> us
 /// \param index  0 to glimt_library_size() - 1, in the file's order; the result is NULL for others.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index: usize) -> *const c_char {
-    // SAFETY: the caller's promise.
-    let library = unsafe { library.as_ref() };
-    library.and_then(|library| library.names.get(index)).map_or(ptr::null(), |name| name.as_ptr())
+    let name = In(library).optional().and_then(|library| library.names.get(index));
+    name.map_or(ptr::null(), |name| name.as_ptr())
 }
 
 /// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
@@ -284,8 +244,7 @@ pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index
 /// is closed. NULL for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
-    // SAFETY: the caller's promise.
-    unsafe { library.as_ref() }.map_or(ptr::null(), |library| library.kind.as_ptr())
+    In(library).optional().map_or(ptr::null(), |library| library.kind.as_ptr())
 }
 
 /// A material of a library.
@@ -302,26 +261,12 @@ pub unsafe extern "C" fn glimt_library_material(
     material: *mut *mut glimt_material,
 ) -> glimt_status {
     call(|| {
-        if material.is_null() {
-            return missing("material");
-        }
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { *material = ptr::null_mut() };
-        // SAFETY: the caller's promise.
-        let Some(library) = (unsafe { library.as_ref() }) else { return missing("library") };
-        // SAFETY: the caller's promise.
-        let name = match (!name.is_null()).then(|| unsafe { string(name, "name") }).transpose() {
-            Ok(name) => name,
-            Err(status) => return status,
-        };
-        match library.library.entry(name) {
-            Err(error) => fail_with(&error),
-            Ok(entry) => {
-                let found = glimt_material { name: c_string(&entry.name), material: entry.material.clone() };
-                // SAFETY: the caller's promise.
-                unsafe { hand_out(material, found) }
-            }
-        }
+        let material = Out(material).empty("material")?;
+        let library = &In(library).get("library")?.library;
+        let name = if name.is_null() { None } else { Some(In(name).str("name")?) };
+        let entry = library.entry(name).map_err(fail_with)?;
+        let found = glimt_material { name: c_string(&entry.name), material: entry.material.clone() };
+        material.give(found, "material")
     })
 }
 
@@ -342,38 +287,19 @@ pub unsafe extern "C" fn glimt_library_mix(
     material: *mut *mut glimt_material,
 ) -> glimt_status {
     call(|| {
-        if material.is_null() {
-            return missing("material");
-        }
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { *material = ptr::null_mut() };
-        // SAFETY: the caller's promise.
-        let Some(library) = (unsafe { library.as_ref() }) else { return missing("library") };
-        // SAFETY: the caller's promise.
-        let names = unsafe { string(a, "a").and_then(|a| Ok((a, string(b, "b")?))) };
-        let (a, b) = match names {
-            Ok(names) => names,
-            Err(status) => return status,
-        };
-        match library.library.mix(a, b, weight) {
-            Err(error) => fail_with(&error),
-            Ok(mix) => {
-                let name = c_string(&glimt_core::library::mix_name(a, b, weight));
-                // SAFETY: the caller's promise.
-                unsafe { hand_out(material, glimt_material { name, material: mix }) }
-            }
-        }
+        let material = Out(material).empty("material")?;
+        let library = &In(library).get("library")?.library;
+        let (a, b) = (In(a).str("a")?, In(b).str("b")?);
+        let mix = library.mix(a, b, weight).map_err(fail_with)?;
+        let name = c_string(&glimt_core::library::mix_name(a, b, weight));
+        material.give(glimt_material { name, material: mix }, "material")
     })
 }
 
 /// Releases a material. NULL is ignored.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_material_release(material: *mut glimt_material) {
-    if !material.is_null() {
-        // SAFETY: the caller's promise; it came from `hand_out`.
-        let material = unsafe { Box::from_raw(material) };
-        guarded((), || drop(material));
-    }
+    Held(material).release();
 }
 
 /// What a material is made of.
@@ -387,27 +313,20 @@ pub unsafe extern "C" fn glimt_material_get_info(
     info: *mut glimt_material_info,
 ) -> glimt_status {
     call(|| {
-        // SAFETY: the caller's promise.
-        let Some(material) = (unsafe { material.as_ref() }) else { return missing("material") };
-        if info.is_null() {
-            return missing("info");
-        }
+        let material = In(material).get("material")?;
         let microfacet = material.material.microfacet();
         let latent = material.material.latent();
-        // SAFETY: the caller's promise; not NULL.
-        unsafe {
-            info.write(glimt_material_info {
-                name: material.name.as_ptr(),
-                kind: material.material.kind().into(),
-                has_microfacet: microfacet.is_some(),
-                kd: microfacet.map_or([0.0; 3], |m| m.kd),
-                eta: microfacet.map_or([0.0; 3], |m| m.eta),
-                alpha: microfacet.map_or([0.0; 2], |m| m.alpha),
-                latent: if latent.is_empty() { ptr::null() } else { latent.as_ptr() },
-                latent_size: latent.len(),
-            });
-        }
-        GLIMT_OK
+        let answer = glimt_material_info {
+            name: material.name.as_ptr(),
+            kind: material.material.kind().into(),
+            has_microfacet: microfacet.is_some(),
+            kd: microfacet.map_or([0.0; 3], |m| m.kd),
+            eta: microfacet.map_or([0.0; 3], |m| m.eta),
+            alpha: microfacet.map_or([0.0; 2], |m| m.alpha),
+            latent: if latent.is_empty() { ptr::null() } else { latent.as_ptr() },
+            latent_size: latent.len(),
+        };
+        Out(info).set(answer, "info")
     })
 }
 
@@ -444,59 +363,34 @@ pub unsafe extern "C" fn glimt_material_edit(
     edited: *mut *mut glimt_material,
 ) -> glimt_status {
     call(|| {
-        if edited.is_null() {
-            return missing("edited");
-        }
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { *edited = ptr::null_mut() };
-        // SAFETY: the caller's promise.
-        let Some(material) = (unsafe { material.as_ref() }) else { return missing("material") };
-        let refused = |reason: String| {
+        let edited = Out(edited).empty("edited")?;
+        let material = In(material).get("material")?;
+        let refused = |reason: &dyn Display| {
             let name = material.name.to_string_lossy();
             fail(GLIMT_ERROR_PARAMETER, format!("material \"{name}\": {reason}"))
         };
-        let Some(mut microfacet) = material.material.microfacet().copied() else {
-            return refused(format!(
-                "{} materials have no kd, eta or alpha to edit",
-                material.material.kind()
-            ));
-        };
-        // SAFETY: the caller's promise.
-        unsafe {
-            replace(&mut microfacet.kd, kd);
-            replace(&mut microfacet.eta, eta);
-            replace(&mut microfacet.alpha, alpha);
-        }
-        match material.material.with_microfacet(microfacet) {
-            Err(reason) => refused(reason),
-            Ok(changed) => {
-                let copy = glimt_material { name: material.name.clone(), material: changed };
-                // SAFETY: the caller's promise.
-                unsafe { hand_out(edited, copy) }
-            }
-        }
+        let kind = material.material.kind();
+        let fitted = material.material.microfacet();
+        let fitted =
+            fitted.ok_or_else(|| refused(&format!("{kind} materials have no kd, eta or alpha to edit")))?;
+        let changed = material.material.with_microfacet(Microfacet {
+            kd: *In(kd).arrays().optional().unwrap_or(&fitted.kd),
+            eta: *In(eta).arrays().optional().unwrap_or(&fitted.eta),
+            alpha: *In(alpha).arrays().optional().unwrap_or(&fitted.alpha),
+        });
+        let changed = changed.map_err(|reason| refused(&reason))?;
+        edited.give(glimt_material { name: material.name.clone(), material: changed }, "edited")
     })
 }
 
-/// # Safety
-/// `from` is NULL or points to `N` numbers.
-unsafe fn replace<const N: usize>(values: &mut [f32; N], from: *const f32) {
-    // SAFETY: the caller's promise; an array of floats is aligned like a float.
-    if let Some(&new) = unsafe { from.cast::<[f32; N]>().as_ref() } {
-        *values = new;
-    }
+/// A direction or three random numbers, as C hands them in.
+fn vector(numbers: *const f32, argument: &str) -> Result<Vec3, glimt_status> {
+    In(numbers).arrays().get(argument).map(|&numbers| Vec3::from_array(numbers))
 }
 
-/// A material and as many directions as the arrays that belong to it hold, or the status to return.
-macro_rules! check {
-    ($material:ident; $($pointer:ident),*) => {{
-        $(if $pointer.is_null() {
-            return missing(stringify!($pointer));
-        })*
-        // SAFETY: the caller's promise.
-        let Some(material) = (unsafe { $material.as_ref() }) else { return missing("material") };
-        &material.material
-    }};
+/// `n` of them.
+fn vectors<'a>(numbers: *const f32, n: usize, argument: &str) -> Result<&'a [Vec3], glimt_status> {
+    In(numbers).arrays::<3>().slice(n, argument).map(bytemuck::cast_slice)
 }
 
 /// Evaluates f_r(light, view) in 1/sr, linear RGB, without the cosine.
@@ -517,10 +411,9 @@ pub unsafe extern "C" fn glimt_eval(
     f: *mut f32,
 ) -> glimt_status {
     call(|| {
-        let material = check!(material; light, view, f);
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { write(f, material.eval(read(light), read(view))) };
-        GLIMT_OK
+        let material = &In(material).get("material")?.material;
+        let value = material.eval(vector(light, "light")?, vector(view, "view")?);
+        Out(f.cast::<[f32; 3]>()).set(value.to_array(), "f")
     })
 }
 
@@ -541,10 +434,9 @@ pub unsafe extern "C" fn glimt_pdf(
     pdf: *mut f32,
 ) -> glimt_status {
     call(|| {
-        let material = check!(material; light, view, pdf);
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { *pdf = material.pdf(read(light), read(view)) };
-        GLIMT_OK
+        let material = &In(material).get("material")?.material;
+        let density = material.pdf(vector(light, "light")?, vector(view, "view")?);
+        Out(pdf).set(density, "pdf")
     })
 }
 
@@ -566,10 +458,9 @@ pub unsafe extern "C" fn glimt_sample(
     sample: *mut glimt_light_sample,
 ) -> glimt_status {
     call(|| {
-        let material = check!(material; view, u, sample);
-        // SAFETY: the caller's promise; not NULL.
-        unsafe { sample.write(material.sample(read(view), read(u)).into()) };
-        GLIMT_OK
+        let material = &In(material).get("material")?.material;
+        let chosen = material.sample(vector(view, "view")?, vector(u, "u")?);
+        Out(sample).set(chosen.into(), "sample")
     })
 }
 
@@ -595,19 +486,12 @@ pub unsafe extern "C" fn glimt_eval_batch(
 ) -> glimt_status {
     call(|| {
         if n == 0 {
-            return GLIMT_OK;
+            return Ok(());
         }
-        let material = check!(material; light, view, f);
-        // SAFETY: the caller's promise; not NULL. A Vec3 is three floats and aligned like one.
-        let (light, view, f) = unsafe {
-            (
-                std::slice::from_raw_parts(light.cast::<Vec3>(), n),
-                std::slice::from_raw_parts(view.cast::<Vec3>(), n),
-                std::slice::from_raw_parts_mut(f.cast::<Vec3>(), n),
-            )
-        };
-        material.eval_batch(light, view, f);
-        GLIMT_OK
+        let material = &In(material).get("material")?.material;
+        let f: &mut [Vec3] = bytemuck::cast_slice_mut(Out(f.cast::<[f32; 3]>()).slice(n, "f")?);
+        material.eval_batch(vectors(light, n, "light")?, vectors(view, n, "view")?, f);
+        Ok(())
     })
 }
 
@@ -630,15 +514,14 @@ pub unsafe extern "C" fn glimt_pdf_batch(
 ) -> glimt_status {
     call(|| {
         if n == 0 {
-            return GLIMT_OK;
+            return Ok(());
         }
-        let material = check!(material; light, view, pdf);
-        let sampler = material.sampler();
-        for i in 0..n {
-            // SAFETY: the caller's promise; not NULL.
-            unsafe { *pdf.add(i) = sampler.pdf(read(light.add(3 * i)), read(view.add(3 * i))) };
+        let sampler = In(material).get("material")?.material.sampler();
+        let pairs = vectors(light, n, "light")?.iter().zip(vectors(view, n, "view")?);
+        for (pdf, (&light, &view)) in Out(pdf).slice(n, "pdf")?.iter_mut().zip(pairs) {
+            *pdf = sampler.pdf(light, view);
         }
-        GLIMT_OK
+        Ok(())
     })
 }
 
@@ -661,30 +544,13 @@ pub unsafe extern "C" fn glimt_sample_batch(
 ) -> glimt_status {
     call(|| {
         if n == 0 {
-            return GLIMT_OK;
+            return Ok(());
         }
-        let material = check!(material; view, u, samples);
-        for i in 0..n {
-            // SAFETY: the caller's promise; not NULL.
-            unsafe {
-                let sample = material.sample(read(view.add(3 * i)), read(u.add(3 * i)));
-                samples.add(i).write(sample.into());
-            }
+        let material = &In(material).get("material")?.material;
+        let arguments = vectors(view, n, "view")?.iter().zip(vectors(u, n, "u")?);
+        for (sample, (&view, &u)) in Out(samples).slice(n, "samples")?.iter_mut().zip(arguments) {
+            *sample = material.sample(view, u).into();
         }
-        GLIMT_OK
+        Ok(())
     })
-}
-
-/// # Safety
-/// `at` points to three numbers.
-unsafe fn read(at: *const f32) -> Vec3 {
-    // SAFETY: the caller's promise.
-    unsafe { Vec3::new(*at, *at.add(1), *at.add(2)) }
-}
-
-/// # Safety
-/// `at` points to room for three numbers.
-unsafe fn write(at: *mut f32, value: Vec3) {
-    // SAFETY: the caller's promise; an array of floats is aligned like a float.
-    unsafe { at.cast::<[f32; 3]>().write(value.to_array()) };
 }

@@ -13,7 +13,8 @@ use ::glimt_image::exr::{self, Exr};
 use ::glimt_image::{Image, Rows};
 
 use crate::c_api::glimt_status::{self, *};
-use crate::c_api::{call, fail, hand_out, missing, string};
+use crate::c_api::{call, fail};
+use crate::pointer::{Held, In, Out};
 
 /// An image in memory. Immutable: any number of threads may use it at once.
 pub struct glimt_image {
@@ -29,50 +30,36 @@ pub struct glimt_image {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_image_read(path: *const c_char, image: *mut *mut glimt_image) -> glimt_status {
     call(|| {
-        if image.is_null() {
-            return missing("image");
-        }
-        // SAFETY: the header asks for strings that end with a zero byte.
-        let path = match unsafe { string(path, "path") } {
-            Ok(path) => path,
-            Err(status) => return status,
-        };
-        match Exr::open(path, "").and_then(|exr| Image::hold(&exr)) {
-            // SAFETY: the header asks for pointers that can be written; NULL was refused above.
-            Ok(read) => unsafe { hand_out(image, glimt_image { image: read }) },
-            Err(error) => fail(GLIMT_ERROR_READ, error.to_string()),
-        }
+        let image = Out(image).empty("image")?;
+        let path = In(path).str("path")?;
+        let read = Exr::open(path, "").and_then(|exr| Image::hold(&exr));
+        let read = read.map_err(|error| fail(GLIMT_ERROR_READ, error.to_string()))?;
+        image.give(glimt_image { image: read }, "image")
     })
 }
 
 /// Width of an image in pixels; 0 for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_image_width(image: *const glimt_image) -> usize {
-    // SAFETY: the caller promises an image or NULL.
-    unsafe { image.as_ref() }.map_or(0, |image| image.image.size()[0])
+    In(image).optional().map_or(0, |image| image.image.size()[0])
 }
 
 /// Height of an image in pixels; 0 for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_image_height(image: *const glimt_image) -> usize {
-    // SAFETY: the caller promises an image or NULL.
-    unsafe { image.as_ref() }.map_or(0, |image| image.image.size()[1])
+    In(image).optional().map_or(0, |image| image.image.size()[1])
 }
 
 /// Linear r, g, b of each pixel, row by row from the top; NULL for NULL. The image owns them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_image_pixels(image: *const glimt_image) -> *const f32 {
-    // SAFETY: the caller promises an image or NULL.
-    unsafe { image.as_ref() }.map_or(std::ptr::null(), |image| image.image.pixels().as_ptr().cast())
+    In(image).optional().map_or(std::ptr::null(), |image| image.image.pixels().as_ptr().cast())
 }
 
-/// Releases an image; NULL is let pass.
+/// Releases an image; NULL is ignored.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_image_release(image: *mut glimt_image) {
-    if !image.is_null() {
-        // SAFETY: the caller promises an image that was read here and is used no more.
-        drop(unsafe { Box::from_raw(image) });
-    }
+    Held(image).release();
 }
 
 /// Writes images of one size as channels of an OpenEXR file.
@@ -95,35 +82,19 @@ pub unsafe extern "C" fn glimt_image_write(
     pixels: *const *const f32,
 ) -> glimt_status {
     call(|| {
-        if prefixes.is_null() || pixels.is_null() {
-            return missing(if prefixes.is_null() { "prefixes" } else { "pixels" });
-        }
         if width == 0 || height == 0 || count == 0 {
-            return fail(GLIMT_ERROR_ARGUMENT, "width, height and count must not be 0");
+            return Err(fail(GLIMT_ERROR_ARGUMENT, "width, height and count must not be 0"));
         }
-        // SAFETY: the header asks for strings that end with a zero byte.
-        let path = match unsafe { string(path, "path") } {
-            Ok(path) => path,
-            Err(status) => return status,
-        };
+        let size = width.checked_mul(height);
+        let size = size.ok_or_else(|| fail(GLIMT_ERROR_ARGUMENT, "an image has more pixels than memory"))?;
+        let path = In(path).str("path")?;
+        let prefixes = In(prefixes).slice(count, "prefixes")?;
         let mut images = Vec::with_capacity(count);
-        for i in 0..count {
-            // SAFETY: the header asks for `count` strings and images.
-            let (prefix, image) = unsafe { (string(*prefixes.add(i), "a prefix"), *pixels.add(i)) };
-            match prefix {
-                Ok(_) if image.is_null() => return missing("an image"),
-                Ok(prefix) => {
-                    // SAFETY: the header asks for width × height pixels.
-                    let image = unsafe { std::slice::from_raw_parts(image.cast(), width * height) };
-                    images.push((prefix, Image::new(width, image.to_vec())));
-                }
-                Err(status) => return status,
-            }
+        for (&prefix, &pixels) in prefixes.iter().zip(In(pixels).slice(count, "pixels")?) {
+            let pixels = In(pixels).arrays::<3>().slice(size, "an image")?;
+            images.push((In(prefix).str("a prefix")?, Image::new(width, pixels.to_vec())));
         }
         let images: Vec<(&str, &Image)> = images.iter().map(|(prefix, image)| (*prefix, image)).collect();
-        match exr::write(Path::new(path), &images) {
-            Ok(()) => GLIMT_OK,
-            Err(error) => fail(GLIMT_ERROR_WRITE, error.to_string()),
-        }
+        exr::write(Path::new(path), &images).map_err(|error| fail(GLIMT_ERROR_WRITE, error.to_string()))
     })
 }

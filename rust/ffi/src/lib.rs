@@ -4,3 +4,4 @@
 
 pub mod c_api;
 pub mod image_api;
+mod pointer;

@@ -6,4 +6,5 @@
 
 mod bridge;
 mod packet;
+mod ray_hit;
 mod sampler_packet;

@@ -1,9 +1,7 @@
-//! Evaluation from inside a kernel that Dr.Jit compiled.
+//! Evaluation from inside a kernel that Dr.Jit compiled, by the way of [`crate::ray_hit`].
 //!
-//! Dr.Jit can call out of a compiled kernel in one place: where it traces rays, with the calling
-//! convention of Embree's N-wide intersection functions (Embree 3, `rtcIntersect4/8/16`). Directions
-//! pose as a ray, one view and two lights in each lane: a path tracer asks for f towards the light that
-//! it sampled and for f towards the direction that it goes on to, and both in one call fill the tiles.
+//! One view and two lights in each lane: a path tracer asks for f towards the light that it sampled and for f towards
+//! the direction that it goes on to, and both in one call fill the tiles.
 //!
 //! | field of the ray | value |
 //! |---|---|
@@ -11,54 +9,27 @@
 //! | direction | view |
 //! | near end, time, far end | second light |
 //! | mask | which of the lights are asked for, see [`FIRST`] and [`SECOND`] |
-//! | id, flags | the material's address, per lane and as data: a pointer for the scene would be baked into a frozen function |
 //!
 //! f of the first pair comes back in the hit's u, v and primitive; f of the second in the far end, the
-//! geometry and the instance; what is an integer there holds the bits of a float.
+//! geometry and the instance.
 
 use std::ffi::c_void;
 
 use glimt_core::simd::{LANES, Lane3};
 
-use crate::bridge::{Material, guarded};
+use crate::bridge::guarded;
+use crate::ray_hit::{RayHit, address_of_width};
 
-/// Bits of [`Packet::wanted`].
+/// Bits of the mask.
 const FIRST: u32 = 1;
 const SECOND: u32 = 2;
 
-/// Embree's `RTCRayHitN` with our values in its fields.
-#[repr(C)]
-pub struct Packet<const N: usize> {
-    light: [[f32; N]; 3],
-    second_x: [f32; N],
-    view: [[f32; N]; 3],
-    second_y: [f32; N],
-    /// The second light's z, and then red of the second f.
-    second_z: [f32; N],
-    wanted: [u32; N],
-    address_low: [u32; N],
-    address_high: [u32; N],
-    _normal: [[f32; N]; 3],
-    /// f of the first pair.
-    first: [[f32; N]; 3],
-    /// Green and blue of the second f.
-    second: [[f32; N]; 2],
-}
-
 /// Address of [`eval_packet`] for packets of `width` lanes, or 0 where no such width is served.
 pub fn eval_packet_address(width: usize) -> usize {
-    type Function<const N: usize> =
-        unsafe extern "C" fn(*const i32, *const c_void, *const c_void, *mut Packet<N>);
-    match width {
-        4 => eval_packet::<4> as Function<4> as usize,
-        8 => eval_packet::<8> as Function<8> as usize,
-        16 => eval_packet::<16> as Function<16> as usize,
-        _ => 0,
-    }
+    address_of_width(width, eval_packet::<4>, eval_packet::<8>, eval_packet::<16>)
 }
 
-/// f_r for what the active lanes of a packet want, with the arguments of `rtcIntersectN`: per lane −1
-/// (active) or 0, a scene and a context that we have no use for, and the packet.
+/// f_r for what the active lanes of a packet want, with the arguments of `rtcIntersectN`.
 ///
 /// Other lanes hold no meaning afterwards.
 ///
@@ -70,7 +41,7 @@ unsafe extern "C" fn eval_packet<const N: usize>(
     valid: *const i32,
     _scene: *const c_void,
     _context: *const c_void,
-    packet: *mut Packet<N>,
+    packet: *mut RayHit<N>,
 ) {
     const { assert!(N <= LANES) };
     // SAFETY: the caller's promise, see above.
@@ -78,7 +49,7 @@ unsafe extern "C" fn eval_packet<const N: usize>(
     let mut first = 0;
     let mut second = 0;
     for lane in 0..N {
-        let wanted = if valid[lane] != 0 { packet.wanted[lane] } else { 0 };
+        let wanted = if valid[lane] != 0 { packet.mask[lane] } else { 0 };
         first |= u32::from(wanted & FIRST != 0) << lane;
         second |= u32::from(wanted & SECOND != 0) << lane;
     }
@@ -94,13 +65,10 @@ unsafe extern "C" fn eval_packet<const N: usize>(
     }
 }
 
-impl<const N: usize> Packet<N> {
-    /// The material of a lane that is active.
-    fn material(&self, lane: usize) -> &glimt_core::Material {
-        let address = u64::from(self.address_high[lane]) << 32 | u64::from(self.address_low[lane]);
-        // SAFETY: the lane is active, and so this is the address of a live material.
-        unsafe { &*(address as usize as *const Material) }.core()
-    }
+/// The material of a lane that is active.
+fn material_of<const N: usize>(packet: &RayHit<N>, lane: usize) -> &glimt_core::Material {
+    // SAFETY: the lane is active.
+    unsafe { packet.material(lane) }.core()
 }
 
 /// Twice N pairs in a row, the first of all lanes and then the second.
@@ -111,22 +79,22 @@ struct Pairs {
 }
 
 impl Pairs {
-    fn new<const N: usize>(packet: &Packet<N>) -> Self {
+    fn new<const N: usize>(packet: &RayHit<N>) -> Self {
         let mut pairs =
             Pairs { light: [[0.0; 2 * LANES]; 3], view: [[0.0; 2 * LANES]; 3], f: [[0.0; 2 * LANES]; 3] };
-        let second = [&packet.second_x, &packet.second_y, &packet.second_z];
+        let second = [&packet.near, &packet.time, &packet.far];
         for c in 0..3 {
-            pairs.light[c][..N].copy_from_slice(&packet.light[c]);
+            pairs.light[c][..N].copy_from_slice(&packet.origin[c]);
             pairs.light[c][N..2 * N].copy_from_slice(second[c]);
-            pairs.view[c][..N].copy_from_slice(&packet.view[c]);
-            pairs.view[c][N..2 * N].copy_from_slice(&packet.view[c]);
+            pairs.view[c][..N].copy_from_slice(&packet.direction[c]);
+            pairs.view[c][N..2 * N].copy_from_slice(&packet.direction[c]);
         }
         pairs
     }
 
     /// Evaluates up to a tile of the pairs in the bit set `pending`, of materials that can share one;
     /// returns the set of those that it did.
-    fn eval_some<const N: usize>(&mut self, packet: &Packet<N>, pending: u32) -> u32 {
+    fn eval_some<const N: usize>(&mut self, packet: &RayHit<N>, pending: u32) -> u32 {
         let tile = Tile::choose(packet, pending);
         // Lanes beyond the pairs are directions of zero, which carry nothing.
         let mut light: Lane3 = [[0.0; LANES]; 3];
@@ -147,13 +115,13 @@ impl Pairs {
         tile.set
     }
 
-    fn store<const N: usize>(&self, packet: &mut Packet<N>) {
+    fn store<const N: usize>(&self, packet: &mut RayHit<N>) {
         for c in 0..3 {
-            packet.first[c].copy_from_slice(&self.f[c][..N]);
+            packet.hit[c].copy_from_slice(&self.f[c][..N]);
         }
-        packet.second_z.copy_from_slice(&self.f[0][N..2 * N]);
-        for c in 1..3 {
-            packet.second[c - 1].copy_from_slice(&self.f[c][N..2 * N]);
+        let second = [&mut packet.far, &mut packet.geometry, &mut packet.instance];
+        for (answer, f) in second.into_iter().zip(&self.f) {
+            answer.copy_from_slice(&f[N..2 * N]);
         }
     }
 }
@@ -168,17 +136,17 @@ struct Tile<'a> {
 
 impl<'a> Tile<'a> {
     /// As many of `pending` as can be evaluated with the first of them.
-    fn choose<const N: usize>(packet: &'a Packet<N>, mut pending: u32) -> Self {
-        let first = packet.material(pending.trailing_zeros() as usize % N);
+    fn choose<const N: usize>(packet: &'a RayHit<N>, mut pending: u32) -> Self {
+        let first = material_of(packet, pending.trailing_zeros() as usize % N);
         let mut tile = Tile { pairs: [0; LANES], materials: [first; LANES], len: 0, set: 0 };
         while pending != 0 && tile.len < LANES {
-            let material = packet.material(pending.trailing_zeros() as usize % N);
+            let material = material_of(packet, pending.trailing_zeros() as usize % N);
             let fits = first.shares_tiles_with(material);
             let mut left = pending;
             while left != 0 {
                 let pair = left.trailing_zeros() as usize;
                 left &= left - 1;
-                if std::ptr::eq(packet.material(pair % N), material) {
+                if std::ptr::eq(material_of(packet, pair % N), material) {
                     pending &= !(1 << pair);
                     if fits && tile.len < LANES {
                         tile.push(pair, material);
@@ -219,7 +187,7 @@ mod tests {
     use glimt_core::{Brdf, Library, Vec3};
 
     use super::*;
-    use crate::bridge::open;
+    use crate::bridge::{Material, open};
 
     fn direction(i: usize) -> [f32; 3] {
         let (z, phi) = ((i as f32 * 0.754_877_7).fract(), i as f32 * 2.4);
@@ -229,40 +197,27 @@ mod tests {
 
     /// A packet whose lanes have one of two materials and want either, both or none of their lights.
     fn check<const N: usize>(materials: &[Box<Material>; 2]) {
-        let (zero, zeros) = ([0.0; N], [[0.0; N]; 3]);
-        let mut packet = Packet {
-            light: zeros,
-            second_x: zero,
-            view: zeros,
-            second_y: zero,
-            second_z: zero,
-            wanted: [0; N],
-            address_low: [0; N],
-            address_high: [0; N],
-            _normal: zeros,
-            first: zeros,
-            second: [zero; 2],
-        };
+        let mut packet = RayHit::<N>::of(&materials[0]);
         let valid: [i32; N] = std::array::from_fn(|lane| if lane % 5 == 3 { 0 } else { -1 });
         for lane in 0..N {
             let [l, m, v] = [direction(lane), direction(lane + 40), direction(lane + 80)];
             for c in 0..3 {
-                packet.light[c][lane] = l[c];
-                packet.view[c][lane] = v[c];
+                packet.origin[c][lane] = l[c];
+                packet.direction[c][lane] = v[c];
             }
-            (packet.second_x[lane], packet.second_y[lane], packet.second_z[lane]) = (m[0], m[1], m[2]);
-            packet.wanted[lane] = lane as u32 % 4;
+            (packet.near[lane], packet.time[lane], packet.far[lane]) = (m[0], m[1], m[2]);
+            packet.mask[lane] = lane as u32 % 4;
             let address = if valid[lane] == 0 { 0 } else { &raw const *materials[lane % 3 % 2] as u64 };
-            (packet.address_low[lane], packet.address_high[lane]) = (address as u32, (address >> 32) as u32);
+            (packet.id[lane], packet.flags[lane]) = (address as u32, (address >> 32) as u32);
         }
-        let asked = packet.wanted;
+        let asked = packet.mask;
         // SAFETY: arrays of N, and the addresses in the active lanes are those of materials.
         unsafe { eval_packet::<N>(valid.as_ptr(), std::ptr::null(), std::ptr::null(), &raw mut packet) };
         for lane in (0..N).filter(|&lane| valid[lane] != 0) {
             let material = materials[lane % 3 % 2].core();
             let view = Vec3::from_array(direction(lane + 80));
-            let first = [0, 1, 2].map(|c| packet.first[c][lane]);
-            let second = [packet.second_z[lane], packet.second[0][lane], packet.second[1][lane]];
+            let first = [0, 1, 2].map(|c| packet.hit[c][lane]);
+            let second = [packet.far[lane], packet.geometry[lane], packet.instance[lane]];
             for (bit, light, f) in [(FIRST, lane, first), (SECOND, lane + 40, second)] {
                 if asked[lane] & bit != 0 {
                     let expected = material.eval(Vec3::from_array(direction(light)), view);
@@ -302,24 +257,20 @@ mod tests {
             |of: fn(&(Vec3, Vec3)) -> Vec3, c: usize| std::array::from_fn(|lane| of(&pairs[lane])[c]);
         let [light, view] = [(|pair| pair.0) as fn(&(Vec3, Vec3)) -> Vec3, |pair| pair.1]
             .map(|of| [0, 1, 2].map(|c| component(of, c)));
-        let address = &raw const *material as u64;
-        let mut packet = Packet::<N> {
-            light,
-            second_x: light[0],
-            view,
-            second_y: light[1],
-            second_z: light[2],
-            wanted: [FIRST | SECOND; N],
-            address_low: [address as u32; N],
-            address_high: [(address >> 32) as u32; N],
-            _normal: [[0.0; N]; 3],
-            first: [[f32::NAN; N]; 3],
-            second: [[f32::NAN; N]; 2],
+        let [near, time, far] = light;
+        let mut packet = RayHit::<N> {
+            origin: light,
+            near,
+            direction: view,
+            time,
+            far,
+            mask: [FIRST | SECOND; N],
+            ..RayHit::of(material)
         };
         let valid = [-1; N];
         // SAFETY: arrays of N, and the address is that of a material.
         unsafe { eval_packet::<N>(valid.as_ptr(), std::ptr::null(), std::ptr::null(), &raw mut packet) };
-        [packet.first, [packet.second_z, packet.second[0], packet.second[1]]]
+        [packet.hit, [packet.far, packet.geometry, packet.instance]]
     }
 
     #[test]
