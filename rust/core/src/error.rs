@@ -1,6 +1,80 @@
-//! What can go wrong with a model library.
+//! What can go wrong with a material and with a model library.
 
 use std::path::PathBuf;
+
+/// Why numbers are no material, or why a material cannot be what was asked for.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Invalid {
+    /// A parameter is out of its range.
+    #[error("{name} is {value}, expected a value in [{low}, {high}]")]
+    OutOfRange {
+        /// The parameter.
+        name: &'static str,
+        /// What it is.
+        value: f32,
+        /// The least that it may be.
+        low: f32,
+        /// The most that it may be.
+        high: f32,
+    },
+    /// A latent code is not as long as those of the model.
+    #[error("the latent code has {found} numbers, expected {expected}")]
+    LatentLength {
+        /// Its length.
+        found: usize,
+        /// That of the others.
+        expected: usize,
+    },
+    /// The model has no such parameters.
+    #[error("a {kind} material has no {parameters}")]
+    NoSuchParameter {
+        /// The model's name.
+        kind: &'static str,
+        /// The parameters.
+        parameters: &'static str,
+    },
+    /// Two materials cannot be mixed.
+    #[error(transparent)]
+    Mix(#[from] Unmixable),
+    /// Parts that do not fit together, or numbers that no model can have: what was found and what was expected.
+    #[error("{0}")]
+    Parts(String),
+}
+
+impl From<String> for Invalid {
+    fn from(reason: String) -> Invalid {
+        Invalid::Parts(reason)
+    }
+}
+
+impl From<&str> for Invalid {
+    fn from(reason: &str) -> Invalid {
+        Invalid::Parts(reason.to_owned())
+    }
+}
+
+impl From<Invalid> for String {
+    fn from(invalid: Invalid) -> String {
+        invalid.to_string()
+    }
+}
+
+/// Why two materials cannot be mixed, in words that go on from their names.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Unmixable {
+    /// They are of two models.
+    #[error("are of two models, and only one model's mix")]
+    Models,
+    /// Each has a network of its own.
+    #[error("have no network in common, and what differs between them is no code")]
+    Networks,
+    /// The model has nothing to go between.
+    #[error("cannot be mixed: a {0} material has no parameters between which to go")]
+    Model(&'static str),
+    /// The weight is not one.
+    #[error("are mixed with a weight of {0}, expected one in [0, 1]")]
+    Weight(f32),
+}
 
 /// An error of the model library; every message names the file.
 #[derive(Debug, thiserror::Error)]
@@ -58,8 +132,8 @@ pub enum Error {
         a: String,
         /// The second.
         b: String,
-        /// Why, in words that go on from the names.
-        reason: String,
+        /// Why.
+        reason: Invalid,
     },
     /// A parameter of a material is out of its range, or the model has no such parameter.
     #[error("material \"{material}\": {reason}")]
@@ -67,7 +141,7 @@ pub enum Error {
         /// The material.
         material: String,
         /// What was found and what was expected.
-        reason: String,
+        reason: Invalid,
     },
 }
 

@@ -16,7 +16,7 @@ pub mod sampling;
 pub mod simd;
 
 pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
-pub use error::Error;
+pub use error::{Error, Invalid, Unmixable};
 pub use glam::Vec3;
 pub use library::Library;
 pub use material::{AnyModel, Kind, Material};

@@ -11,6 +11,7 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, SampleBrdf};
+use crate::error::{Invalid, Unmixable};
 use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
 use crate::models::Model;
@@ -244,7 +245,7 @@ impl Material {
     ///
     /// # Errors
     /// See [`Model::with_microfacet`].
-    pub fn with_microfacet(&self, microfacet: Microfacet) -> Result<Material, String> {
+    pub fn with_microfacet(&self, microfacet: Microfacet) -> Result<Material, Invalid> {
         let edited =
             with_model!(&self.model, model => model.with_microfacet(microfacet).map(AnyModel::from))?;
         Ok(Material::planned(edited, self.plan.clone()))
@@ -254,7 +255,7 @@ impl Material {
     ///
     /// # Errors
     /// See [`Model::with_latent`].
-    pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, String> {
+    pub fn with_latent(&self, latent: Vec<f32>) -> Result<Material, Invalid> {
         let edited = with_model!(&self.model, model => model.with_latent(latent).map(AnyModel::from))?;
         Ok(Material::planned(edited, self.plan.clone()))
     }
@@ -263,18 +264,18 @@ impl Material {
     ///
     /// # Errors
     /// See [`Model::mix`]; also for materials of two models and a share outside [0, 1].
-    pub fn mix(&self, other: &Material, t: f32) -> Result<Material, String> {
+    pub fn mix(&self, other: &Material, t: f32) -> Result<Material, Invalid> {
         match t {
             0.0 => Ok(self.clone()),
             1.0 => Ok(other.clone()),
             _ if t > 0.0 && t < 1.0 => {
                 let mixed = with_model!(&self.model, model => {
-                    let other = of_model_of(model, other).ok_or("are of two models, and only one model's mix")?;
+                    let other = of_model_of(model, other).ok_or(Unmixable::Models)?;
                     model.mix(other, t).map(AnyModel::from)
                 })?;
                 Ok(Material::planned(mixed, self.plan.clone()))
             }
-            _ => Err(format!("are mixed with a weight of {t}, expected one in [0, 1]")),
+            _ => Err(Unmixable::Weight(t).into()),
         }
     }
 }

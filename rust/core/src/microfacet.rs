@@ -7,6 +7,7 @@
 
 use std::f32::consts::{FRAC_1_PI, PI};
 
+use crate::error::Invalid;
 use crate::simd::{Lanes, Real, Vector};
 
 /// Smallest roughness: below it, the lobe is narrower than float32 half vectors resolve.
@@ -31,12 +32,12 @@ impl Microfacet {
     ///
     /// # Errors
     /// The name, value and range of the first parameter that is not.
-    pub fn validate(&self) -> Result<(), String> {
-        let check = |name: &str, values: &[f32], [low, high]: [f32; 2]| match values
+    pub fn validate(&self) -> Result<(), Invalid> {
+        let check = |name: &'static str, values: &[f32], [low, high]: [f32; 2]| match values
             .iter()
             .find(|v| !(low..=high).contains(*v))
         {
-            Some(v) => Err(format!("{name} is {v}, expected a value in [{low}, {high}]")),
+            Some(&value) => Err(Invalid::OutOfRange { name, value, low, high }),
             None => Ok(()),
         };
         check("kd", &self.kd, [0.0, 1.0])?;
@@ -480,8 +481,22 @@ mod tests {
     fn parameters_out_of_range_are_named() {
         let p = Microfacet { kd: [0.5; 3], eta: [1.5; 3], alpha: [0.1; 2] };
         assert!(p.validate().is_ok());
-        assert!(Microfacet { eta: [1.5, 0.9, 1.5], ..p }.validate().unwrap_err().contains("eta is 0.9"));
-        assert!(Microfacet { alpha: [0.0, 0.1], ..p }.validate().unwrap_err().contains("alpha is 0"));
-        assert!(Microfacet { kd: [f32::NAN, 0.0, 0.0], ..p }.validate().unwrap_err().contains("kd is NaN"));
+        assert!(
+            Microfacet { eta: [1.5, 0.9, 1.5], ..p }
+                .validate()
+                .unwrap_err()
+                .to_string()
+                .contains("eta is 0.9")
+        );
+        assert!(
+            Microfacet { alpha: [0.0, 0.1], ..p }.validate().unwrap_err().to_string().contains("alpha is 0")
+        );
+        assert!(
+            Microfacet { kd: [f32::NAN, 0.0, 0.0], ..p }
+                .validate()
+                .unwrap_err()
+                .to_string()
+                .contains("kd is NaN")
+        );
     }
 }

@@ -49,7 +49,7 @@ impl Codec for Ggx {
 
     fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         let microfacets = file.microfacets("")?;
-        Ok(Box::new(move |i| Ggx::new(microfacets.at(i)?)))
+        Ok(Box::new(move |i| Ok(Ggx::new(microfacets.at(i)?)?)))
     }
 }
 
@@ -84,11 +84,11 @@ impl Codec for Hybrid {
             let (network, bound) = (networks.of_material(i)?, bounds.number(i)?);
             let (microfacet, latent) = (microfacets.at(i)?, latents.row(i)?);
             let Some((origins, fitted)) = &fitted else {
-                return Hybrid::new(form, network, microfacet, latent, bound);
+                return Ok(Hybrid::new(form, network, microfacet, latent, bound)?);
             };
             let (origin, fitted) = (origins.at(i)?, fitted.at(i)?);
             let base = Hybrid::new(form, network, origin, fitted.latent.clone(), bound)?;
-            base.edited(origin, fitted, microfacet, latent)
+            Ok(base.edited(origin, fitted, microfacet, latent)?)
         }))
     }
 }
@@ -125,9 +125,9 @@ impl Codec for Neural {
         let fitted = file.fitted()?;
         Ok(Box::new(move |i| {
             let (shared, latent, bound) = (shared.clone(), latents.row(i)?, bounds.number(i)?);
-            let Some(fitted) = &fitted else { return Neural::new(shared, latent, bound) };
+            let Some(fitted) = &fitted else { return Ok(Neural::new(shared, latent, bound)?) };
             let fitted = fitted.at(i)?;
-            Neural::new(shared, fitted.latent.clone(), bound)?.recoded(fitted, latent)
+            Ok(Neural::new(shared, fitted.latent.clone(), bound)?.recoded(fitted, latent)?)
         }))
     }
 
@@ -148,7 +148,7 @@ impl Codec for Nbrdf {
 
     fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         let networks = file.networks(nbrdf::FEATURES, Activation::Relu)?;
-        Ok(Box::new(move |i| Nbrdf::new(networks.of_material(i)?)))
+        Ok(Box::new(move |i| Ok(Nbrdf::new(networks.of_material(i)?)?)))
     }
 }
 
@@ -189,7 +189,7 @@ impl Codec for Analytic {
         Ok(Box::new(move |i| {
             let numbers: Vec<f64> = specular.row(i)?.iter().map(|&x| x.into()).collect();
             let specular = Specular::from_numbers(lobe, &numbers)?;
-            Analytic::new(Parameters { diffuse: diffuse.array(i)?.map(f64::from), specular })
+            Ok(Analytic::new(Parameters { diffuse: diffuse.array(i)?.map(f64::from), specular })?)
         }))
     }
 }

@@ -75,7 +75,7 @@ impl Codec for Factor {
                 Box::new(move |i| Ok(Factors::Bivariate(tables.row(i)?.as_chunks().0.to_vec())))
             }
         };
-        Ok(Box::new(move |i| Factor::new(factors(i)?, form.interpolation)))
+        Ok(Box::new(move |i| Ok(Factor::new(factors(i)?, form.interpolation)?)))
     }
 }
 

@@ -135,7 +135,7 @@ impl Codec for Spherical {
         Ok(Box::new(move |i| {
             let links = links.as_ref().map(|links| links[i].clone());
             let features = Features { store: stores.at(i, clusters[i])?, links };
-            Spherical::new(layout.clone(), networks.at(clusters[i])?, features, bounds.number(i)?)
+            Ok(Spherical::new(layout.clone(), networks.at(clusters[i])?, features, bounds.number(i)?)?)
         }))
     }
 

@@ -14,6 +14,7 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::{Brdf, is_lit};
+use crate::error::Invalid;
 use crate::models::Model;
 
 /// Largest f: parameters may be anything, f is finite.
@@ -134,7 +135,7 @@ impl Specular {
     ///
     /// # Errors
     /// In words, another number of parameters.
-    pub fn from_numbers(lobe: Lobe, numbers: &[f64]) -> Result<Specular, String> {
+    pub fn from_numbers(lobe: Lobe, numbers: &[f64]) -> Result<Specular, Invalid> {
         let rgb = |at: usize| [numbers[at], numbers[at + 1], numbers[at + 2]];
         let count = match lobe {
             Lobe::Ward => 4,
@@ -143,7 +144,9 @@ impl Specular {
             Lobe::ShiftedGamma => 30,
         };
         if numbers.len() != count {
-            return Err(format!("the specular lobe has {} parameters, expected {count}", numbers.len()));
+            return Err(
+                format!("the specular lobe has {} parameters, expected {count}", numbers.len()).into()
+            );
         }
         let scale = rgb(0);
         Ok(match lobe {
@@ -216,7 +219,7 @@ impl Analytic {
     ///
     /// # Errors
     /// In words, a parameter that is not finite, a negative k_d, or a roughness that is not positive.
-    pub fn new(parameters: Parameters) -> Result<Self, String> {
+    pub fn new(parameters: Parameters) -> Result<Self, Invalid> {
         let stored = |x: f64| f64::from(x as f32);
         let numbers: Vec<f64> = parameters.specular.numbers().into_iter().map(stored).collect();
         let specular = Specular::from_numbers(parameters.specular.lobe(), &numbers)?;
@@ -234,7 +237,7 @@ impl Analytic {
                 } else {
                     "not negative"
                 };
-                return Err(format!("{name} is {x}, expected a number that is {expected}"));
+                return Err(format!("{name} is {x}, expected a number that is {expected}").into());
             }
         }
         Ok(Analytic { parameters })
@@ -471,16 +474,21 @@ pub(crate) mod tests {
     fn parameters_out_of_range_are_named() {
         let refused = |specular| Analytic::new(Parameters { diffuse: [0.1; 3], specular }).unwrap_err();
         assert!(
-            refused(Specular::Ward { scale: [1.0; 3], roughness: 0.0 }).contains("roughness is 0, expected")
+            refused(Specular::Ward { scale: [1.0; 3], roughness: 0.0 })
+                .to_string()
+                .contains("roughness is 0, expected")
         );
-        assert!(refused(Specular::Ward { scale: [-1.0; 3], roughness: 0.1 }).contains("scale is -1"));
+        assert!(
+            refused(Specular::Ward { scale: [-1.0; 3], roughness: 0.1 }).to_string().contains("scale is -1")
+        );
         let nan = Specular::LowMicrofacet { scale: [1.0; 3], slope: f64::NAN, falloff: 1.0, eta: 1.5 };
-        assert!(refused(nan).contains("slope is NaN"));
+        assert!(refused(nan).to_string().contains("slope is NaN"));
         // Libraries hold float32: beyond its range is out of range.
         let large = Specular::LowMicrofacet { scale: [1.0; 3], slope: 1e40, falloff: 1.0, eta: 1.5 };
-        assert!(refused(large).contains("slope is inf"));
+        assert!(refused(large).to_string().contains("slope is inf"));
         assert!(
             refused(Specular::Ward { scale: [1.0; 3], roughness: 1e-60 })
+                .to_string()
                 .contains("roughness is 0, expected")
         );
     }

@@ -1,5 +1,6 @@
 //! `ggx`: the analytic BRDF alone, as a material.
 
+use crate::error::Invalid;
 use crate::kernels::Kernel;
 use crate::kernels::mixed::{self, MixedKernel};
 use crate::microfacet::{Microfacet, Terms};
@@ -18,7 +19,7 @@ impl Ggx {
     ///
     /// # Errors
     /// See [`Microfacet::validate`].
-    pub fn new(microfacet: Microfacet) -> Result<Self, String> {
+    pub fn new(microfacet: Microfacet) -> Result<Self, Invalid> {
         microfacet.validate()?;
         Ok(Ggx { microfacet, terms: microfacet.terms() })
     }
@@ -45,7 +46,7 @@ impl Model for Ggx {
         Some(&self.microfacet)
     }
 
-    fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, String> {
+    fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, Invalid> {
         Ggx::new(microfacet)
     }
 
@@ -57,7 +58,7 @@ impl Model for Ggx {
         mixed::eval_tile(materials, light, view, out);
     }
 
-    fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
+    fn mix(&self, other: &Self, t: f32) -> Result<Self, Invalid> {
         Ggx::new(self.microfacet.mix(&other.microfacet, t))
     }
 }

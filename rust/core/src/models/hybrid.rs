@@ -15,6 +15,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 use crate::directions::features::{Inputs, MAX_FEATURES};
+use crate::error::{Invalid, Unmixable};
 use crate::kernels::mixed::{self, MixedKernel};
 use crate::kernels::network::{Bias, Network, One, Rows, check_latent};
 use crate::kernels::{Kernel, splat3};
@@ -160,11 +161,11 @@ pub const MAX_BOUND: f32 = 20.0;
 ///
 /// # Errors
 /// In words, that it cannot.
-pub(crate) fn check_bound(bound: f32) -> Result<(), String> {
+pub(crate) fn check_bound(bound: f32) -> Result<(), Invalid> {
     if bound <= MAX_BOUND {
         Ok(())
     } else {
-        Err(format!("the bound of the exponent is {bound}, expected at most {MAX_BOUND}"))
+        Err(format!("the bound of the exponent is {bound}, expected at most {MAX_BOUND}").into())
     }
 }
 
@@ -195,7 +196,7 @@ impl Hybrid {
         microfacet: Microfacet,
         latent: Vec<f32>,
         bound: f32,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, Invalid> {
         microfacet.validate()?;
         if network.features() != form.features() || network.outputs() != form.composition.outputs() {
             return Err(format!(
@@ -204,14 +205,11 @@ impl Hybrid {
                 network.outputs(),
                 form.features(),
                 form.composition.outputs()
-            ));
+            )
+            .into());
         }
         if network.latent() != latent.len() {
-            return Err(format!(
-                "the latent code has {} numbers, expected {}",
-                latent.len(),
-                network.latent()
-            ));
+            return Err(Invalid::LatentLength { found: latent.len(), expected: network.latent() });
         }
         check_latent(&latent)?;
         check_bound(bound)?;
@@ -230,7 +228,7 @@ impl Hybrid {
         fitted: Fitted,
         microfacet: Microfacet,
         latent: Vec<f32>,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, Invalid> {
         let new = |p, z| Hybrid::new(self.form, self.network.clone(), p, z, self.bound);
         if fitted.origin == Origin::Fit && microfacet == origin && latent == fitted.latent {
             return new(origin, latent);
@@ -245,9 +243,9 @@ impl Hybrid {
     ///
     /// # Errors
     /// In words, that the two share no network.
-    pub fn mix(&self, other: &Hybrid, t: f32) -> Result<Self, String> {
+    pub fn mix(&self, other: &Hybrid, t: f32) -> Result<Self, Invalid> {
         if !self.shares_tiles_with(other) {
-            return Err("have no network in common, and what differs between them is no code".into());
+            return Err(Unmixable::Networks.into());
         }
         let ((p, fitted), (other_p, other_fitted)) = (self.fitted(), other.fitted());
         let mixed = Fitted {
@@ -272,7 +270,7 @@ impl Hybrid {
     }
 
     /// Gives the residual the share that there is room for.
-    fn make_room(&mut self, origin: Microfacet, fitted: Fitted) -> Result<(), String> {
+    fn make_room(&mut self, origin: Microfacet, fitted: Fitted) -> Result<(), Invalid> {
         let turn = Turn::new(origin.alpha, self.microfacet.alpha);
         let with = |room| {
             let terms = self.microfacet.terms();
@@ -375,12 +373,12 @@ impl Model for Hybrid {
         Some(&self.network)
     }
 
-    fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, String> {
+    fn with_microfacet(&self, microfacet: Microfacet) -> Result<Self, Invalid> {
         let (origin, fitted) = self.fitted();
         self.edited(origin, fitted, microfacet, self.latent.clone())
     }
 
-    fn with_latent(&self, latent: Vec<f32>) -> Result<Self, String> {
+    fn with_latent(&self, latent: Vec<f32>) -> Result<Self, Invalid> {
         let (origin, fitted) = self.fitted();
         self.edited(origin, fitted, self.microfacet, latent)
     }
@@ -393,7 +391,7 @@ impl Model for Hybrid {
         mixed::eval_tile(materials, light, view, out);
     }
 
-    fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
+    fn mix(&self, other: &Self, t: f32) -> Result<Self, Invalid> {
         Hybrid::mix(self, other, t)
     }
 }
@@ -822,7 +820,7 @@ mod tests {
             let back = there.with_microfacet(middle.microfacet).unwrap();
             assert_eq!(back.edit(), middle.edit());
             let other = material(form, 16, 2, 4);
-            assert!(a.mix(&other, 0.5).unwrap_err().contains("no network in common"));
+            assert!(a.mix(&other, 0.5).unwrap_err().to_string().contains("no network in common"));
         }
     }
 
@@ -864,12 +862,14 @@ mod tests {
             Hybrid::new(form, good.network.clone(), microfacet, latent, 0.0).unwrap_err()
         };
         let z = vec![0.0; 4];
-        assert!(new(FORMS[5], good.microfacet, z.clone()).contains("expected 9"));
-        assert!(new(FORMS[3], good.microfacet, z.clone()).contains("to 3"));
-        assert!(new(Form::PAPER, good.microfacet, vec![0.0; 3]).contains("expected 4"));
-        assert!(new(Form::PAPER, good.microfacet, vec![f32::NAN; 4]).contains("holds NaN"));
+        assert!(new(FORMS[5], good.microfacet, z.clone()).to_string().contains("expected 9"));
+        assert!(new(FORMS[3], good.microfacet, z.clone()).to_string().contains("to 3"));
+        assert!(new(Form::PAPER, good.microfacet, vec![0.0; 3]).to_string().contains("expected 4"));
+        assert!(new(Form::PAPER, good.microfacet, vec![f32::NAN; 4]).to_string().contains("holds NaN"));
         assert!(
-            new(Form::PAPER, Microfacet { alpha: [2.0; 2], ..good.microfacet }, z).contains("alpha is 2")
+            new(Form::PAPER, Microfacet { alpha: [2.0; 2], ..good.microfacet }, z)
+                .to_string()
+                .contains("alpha is 2")
         );
     }
 }

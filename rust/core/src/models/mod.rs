@@ -11,6 +11,7 @@ pub mod spherical;
 pub mod tabulated;
 
 use crate::brdf::Brdf;
+use crate::error::{Invalid, Unmixable};
 use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
 use crate::sampling::Plan;
@@ -52,17 +53,17 @@ pub trait Model: Brdf + Clone {
     /// The same material with other k_d, η and α.
     ///
     /// # Errors
-    /// In words, a parameter out of range, or that the model has no analytic part.
-    fn with_microfacet(&self, _: Microfacet) -> Result<Self, String> {
-        Err(format!("a {} material has no kd, eta or alpha to edit", Self::KIND))
+    /// [`Invalid::OutOfRange`], [`Invalid::NoSuchParameter`].
+    fn with_microfacet(&self, _: Microfacet) -> Result<Self, Invalid> {
+        Err(Invalid::NoSuchParameter { kind: Self::KIND, parameters: "kd, eta or alpha to edit" })
     }
 
     /// The same material with another latent code.
     ///
     /// # Errors
-    /// In words, a code of another length or not finite, or that the model has none.
-    fn with_latent(&self, _: Vec<f32>) -> Result<Self, String> {
-        Err(format!("a {} material has no latent code", Self::KIND))
+    /// [`Invalid::LatentLength`], [`Invalid::NoSuchParameter`], and [`Invalid::Parts`] for numbers that are not finite.
+    fn with_latent(&self, _: Vec<f32>) -> Result<Self, Invalid> {
+        Err(Invalid::NoSuchParameter { kind: Self::KIND, parameters: "latent code" })
     }
 
     /// Whether lanes of this material and lanes of `other` can be in one tile.
@@ -78,8 +79,8 @@ pub trait Model: Brdf + Clone {
     /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.
     ///
     /// # Errors
-    /// In words that go on from the names of the two, why they cannot be mixed.
-    fn mix(&self, _other: &Self, _t: f32) -> Result<Self, String> {
-        Err(format!("cannot be mixed: a {} material has no parameters between which to go", Self::KIND))
+    /// [`Invalid::Mix`].
+    fn mix(&self, _other: &Self, _t: f32) -> Result<Self, Invalid> {
+        Err(Unmixable::Model(Self::KIND).into())
     }
 }

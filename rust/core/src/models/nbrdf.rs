@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use crate::error::Invalid;
 use crate::kernels::network::{Network, One, Rows};
 use crate::kernels::{Kernel, splat3};
 use crate::microfacet::Half;
@@ -36,13 +37,14 @@ impl Nbrdf {
     ///
     /// # Errors
     /// In words, if the network has another shape.
-    pub fn new(network: Arc<Network>) -> Result<Self, String> {
+    pub fn new(network: Arc<Network>) -> Result<Self, Invalid> {
         if network.features() != FEATURES || network.latent() != 0 || network.outputs() != 3 {
             return Err(format!(
                 "the network maps {} values to {}, expected {FEATURES} to 3",
                 network.features() + network.latent(),
                 network.outputs()
-            ));
+            )
+            .into());
         }
         let first_bias = network.fold(&[]);
         Ok(Nbrdf { network, first_bias })

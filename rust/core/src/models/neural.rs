@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use glam::{Mat3, Vec3};
 
+use crate::error::{Invalid, Unmixable};
 use crate::kernels::Kernel;
 use crate::kernels::network::{LARGEST_INPUT, Layer, Network, One, Rows, check_latent};
 use crate::models::Model;
@@ -65,21 +66,18 @@ impl Neural {
     ///
     /// # Errors
     /// In words, if network, frame layer and latent code do not fit together.
-    pub fn new(shared: Arc<Shared>, latent: Vec<f32>, bound: f32) -> Result<Self, String> {
+    pub fn new(shared: Arc<Shared>, latent: Vec<f32>, bound: f32) -> Result<Self, Invalid> {
         let network = &shared.network;
         if network.features() != FEATURES || network.outputs() != 3 {
             return Err(format!(
                 "the network maps {} features to {} values, expected {FEATURES} to 3",
                 network.features(),
                 network.outputs()
-            ));
+            )
+            .into());
         }
         if network.latent() != latent.len() || latent.is_empty() {
-            return Err(format!(
-                "the latent code has {} numbers, expected {}",
-                latent.len(),
-                network.latent()
-            ));
+            return Err(Invalid::LatentLength { found: latent.len(), expected: network.latent() });
         }
         if shared.frames.outputs() != FRAME_OUTPUTS || shared.frames.inputs() != latent.len() {
             return Err(format!(
@@ -87,7 +85,8 @@ impl Neural {
                 shared.frames.inputs(),
                 shared.frames.outputs(),
                 latent.len()
-            ));
+            )
+            .into());
         }
         check_latent(&latent)?;
         // Lengths of the frames' axes are squared.
@@ -104,7 +103,7 @@ impl Neural {
     ///
     /// # Errors
     /// See [`Neural::new`].
-    pub fn recoded(&self, fitted: Fitted, latent: Vec<f32>) -> Result<Self, String> {
+    pub fn recoded(&self, fitted: Fitted, latent: Vec<f32>) -> Result<Self, Invalid> {
         let unedited = Neural::new(Arc::clone(&self.shared), fitted.latent.clone(), self.bound)?;
         if fitted.origin == Origin::Fit && latent == fitted.latent {
             return Ok(unedited);
@@ -125,9 +124,9 @@ impl Neural {
     ///
     /// # Errors
     /// In words, that the two share no network.
-    pub fn mix(&self, other: &Neural, t: f32) -> Result<Self, String> {
+    pub fn mix(&self, other: &Neural, t: f32) -> Result<Self, Invalid> {
         if !Arc::ptr_eq(&self.shared, &other.shared) {
-            return Err("have no network in common, and what differs between them is no code".into());
+            return Err(Unmixable::Networks.into());
         }
         let (fitted, other_fitted) = (self.fitted(), other.fitted());
         let mixed = Fitted {
@@ -201,11 +200,11 @@ impl Model for Neural {
         Some(&self.shared.network)
     }
 
-    fn with_latent(&self, latent: Vec<f32>) -> Result<Self, String> {
+    fn with_latent(&self, latent: Vec<f32>) -> Result<Self, Invalid> {
         self.recoded(self.fitted(), latent)
     }
 
-    fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
+    fn mix(&self, other: &Self, t: f32) -> Result<Self, Invalid> {
         Neural::mix(self, other, t)
     }
 }
@@ -224,7 +223,7 @@ pub fn frame(offsets: &[f32]) -> Mat3 {
 }
 
 /// ψ with light and view as inputs: W₁ [F₁ 0; 0 F₁; …] in place of W₁, and W_z z in the bias.
-fn fold_frames(shared: &Shared, latent: &[f32]) -> Result<Network, String> {
+fn fold_frames(shared: &Shared, latent: &[f32]) -> Result<Network, Invalid> {
     let offsets: Vec<f32> = shared
         .frames
         .weight
@@ -373,7 +372,17 @@ mod tests {
     #[test]
     fn what_does_not_fit_is_refused() {
         let good = material();
-        assert!(Neural::new(good.shared.clone(), vec![0.0; 5], 1.0).unwrap_err().contains("expected 12"));
-        assert!(Neural::new(good.shared.clone(), vec![f32::NAN; 12], 1.0).unwrap_err().contains("holds NaN"));
+        assert!(
+            Neural::new(good.shared.clone(), vec![0.0; 5], 1.0)
+                .unwrap_err()
+                .to_string()
+                .contains("expected 12")
+        );
+        assert!(
+            Neural::new(good.shared.clone(), vec![f32::NAN; 12], 1.0)
+                .unwrap_err()
+                .to_string()
+                .contains("holds NaN")
+        );
     }
 }

@@ -6,6 +6,7 @@
 mod packed;
 mod values;
 
+use crate::error::Invalid;
 use crate::simd::{Isa, LANES, Lane, Lanes, Real};
 pub use packed::add_column;
 use packed::{LayerOfLanes, PackedLayer, Units};
@@ -122,21 +123,21 @@ pub struct Network {
 pub(crate) const LARGEST_INPUT: f32 = 1e6;
 
 /// Whether a latent code is what a network can stand.
-pub(crate) fn check_latent(latent: &[f32]) -> Result<(), String> {
+pub(crate) fn check_latent(latent: &[f32]) -> Result<(), Invalid> {
     match latent.iter().find(|z| !(-LARGEST_INPUT..=LARGEST_INPUT).contains(*z)) {
-        Some(z) => Err(format!("the latent code holds {z}, expected numbers within ±{LARGEST_INPUT}")),
+        Some(z) => Err(format!("the latent code holds {z}, expected numbers within ±{LARGEST_INPUT}").into()),
         None => Ok(()),
     }
 }
 
 /// Whether no input up to [`LARGEST_INPUT`] can make a sum overflow, after which infinities of both signs
 /// would meet and give NaN. The activations do not make a number larger.
-fn check_sums(layers: &[Layer]) -> Result<(), String> {
+fn check_sums(layers: &[Layer]) -> Result<(), Invalid> {
     let mut largest = f64::from(LARGEST_INPUT);
     for (i, layer) in layers.iter().enumerate() {
         largest = layer.largest_sum(largest);
         if largest > f64::from(f32::MAX) / 2.0 {
-            return Err(format!("layer {i} holds numbers so large that its sums overflow"));
+            return Err(format!("layer {i} holds numbers so large that its sums overflow").into());
         }
     }
     Ok(())
@@ -150,7 +151,7 @@ impl Network {
     /// What does not fit together, in words: a layer whose inputs are not its predecessor's
     /// outputs, one wider than [`MAX_WIDTH`], a bias or weight of the wrong length, a non-finite
     /// weight, or weights so large that sums of products overflow.
-    pub fn new(layers: Vec<Layer>, features: usize, activation: Activation) -> Result<Self, String> {
+    pub fn new(layers: Vec<Layer>, features: usize, activation: Activation) -> Result<Self, Invalid> {
         if layers.is_empty() {
             return Err("a network has at least one layer".into());
         }
@@ -160,24 +161,26 @@ impl Network {
                 return Err(format!(
                     "layer {i} has {} weights and {outputs} biases; expected 1 to {MAX_WIDTH} biases and as many equal rows",
                     layer.weight.len()
-                ));
+                ).into());
             }
             if i > 0 && layer.inputs() != layers[i - 1].outputs() {
                 return Err(format!(
                     "layer {i} takes {} values, but the layer before it yields {}",
                     layer.inputs(),
                     layers[i - 1].outputs()
-                ));
+                )
+                .into());
             }
             if !layer.weight.iter().chain(&layer.bias).all(|w| w.is_finite()) {
-                return Err(format!("layer {i} holds a weight that is not finite"));
+                return Err(format!("layer {i} holds a weight that is not finite").into());
             }
         }
         if features == 0 || layers[0].inputs() < features || layers[0].inputs() > 2 * MAX_WIDTH {
             return Err(format!(
                 "the first layer takes {} values, expected at least {features}",
                 layers[0].inputs()
-            ));
+            )
+            .into());
         }
         check_sums(&layers)?;
         let (last, hidden) = (layers.len() - 1, activation.units());
@@ -477,13 +480,13 @@ pub(crate) mod tests {
             bias: vec![0.0; outputs],
         };
         let new = |layers| Network::new(layers, 6, Activation::Relu).unwrap_err();
-        assert!(new(vec![]).contains("at least one"));
-        assert!(new(vec![layer(6, 8), layer(9, 3)]).contains("yields 8"));
-        assert!(new(vec![layer(5, 3)]).contains("at least 6"));
-        assert!(new(vec![layer(6, MAX_WIDTH + 1)]).contains("expected 1 to 64"));
+        assert!(new(vec![]).to_string().contains("at least one"));
+        assert!(new(vec![layer(6, 8), layer(9, 3)]).to_string().contains("yields 8"));
+        assert!(new(vec![layer(5, 3)]).to_string().contains("at least 6"));
+        assert!(new(vec![layer(6, MAX_WIDTH + 1)]).to_string().contains("expected 1 to 64"));
         let mut broken = layer(6, 3);
         broken.weight[4] = f32::NAN;
-        assert!(new(vec![broken]).contains("not finite"));
+        assert!(new(vec![broken]).to_string().contains("not finite"));
     }
 
     #[test]
@@ -497,6 +500,6 @@ pub(crate) mod tests {
         };
         // The limit of float16, in which models may come.
         assert!(network(65_504.0).is_ok());
-        assert!(network(1e12).unwrap_err().contains("overflow"));
+        assert!(network(1e12).unwrap_err().to_string().contains("overflow"));
     }
 }

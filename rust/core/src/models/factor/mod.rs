@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::Invalid;
 use crate::models::Model;
 pub use bins::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MASKING_KNOTS};
 use lookup::Tables;
@@ -117,14 +118,14 @@ impl Factors {
         }
     }
 
-    fn validate(&self) -> Result<(), String> {
+    fn validate(&self) -> Result<(), Invalid> {
         let (product, third) = match self {
             Factors::IndependentG { product, masking } => (product, ("masking", masking.as_flattened())),
             Factors::GFromD(product) => (product, ("masking", &[][..])),
             Factors::Naive { product, azimuth } => (product, ("azimuth", azimuth.as_flattened())),
             Factors::Bivariate(table) => {
                 if table.len() != HALF_BINS * DIFF_BINS {
-                    return Err(format!("the table has {} bins, expected 90 times 90", table.len()));
+                    return Err(format!("the table has {} bins, expected 90 times 90", table.len()).into());
                 }
                 return in_range("bivariate", table.as_flattened(), MAX_SCALE);
             }
@@ -137,10 +138,11 @@ impl Factors {
     }
 }
 
-fn in_range(name: &str, values: &[f32], most: f32) -> Result<(), String> {
+fn in_range(name: &str, values: &[f32], most: f32) -> Result<(), Invalid> {
     match values.iter().position(|x| !(0.0..=most).contains(x)) {
         Some(at) => {
-            Err(format!("{name} holds {} at index {at}, expected numbers from 0 to {most:e}", values[at]))
+            Err(format!("{name} holds {} at index {at}, expected numbers from 0 to {most:e}", values[at])
+                .into())
         }
         None => Ok(()),
     }
@@ -159,7 +161,7 @@ impl Factor {
     ///
     /// # Errors
     /// In words, a number out of its range or a table of another size.
-    pub fn new(factors: Factors, interpolation: Interpolation) -> Result<Self, String> {
+    pub fn new(factors: Factors, interpolation: Interpolation) -> Result<Self, Invalid> {
         factors.validate()?;
         let tables = Arc::new(Tables::new(&factors));
         Ok(Factor { factors: Arc::new(factors), interpolation, tables })
@@ -334,14 +336,18 @@ pub(crate) mod tests {
         let refused = |factors| Factor::new(factors, Interpolation::Nearest).unwrap_err();
         let mut broken = product.clone();
         broken.ndf[1][3] = 1.5;
-        assert!(refused(Factors::GFromD(broken)).contains("ndf holds 1.5 at index 93"));
+        assert!(refused(Factors::GFromD(broken)).to_string().contains("ndf holds 1.5 at index 93"));
         let mut broken = product.clone();
         broken.diffuse[2] = -0.1;
-        assert!(refused(Factors::GFromD(broken)).contains("diffuse holds -0.1 at index 2"));
+        assert!(refused(Factors::GFromD(broken)).to_string().contains("diffuse holds -0.1 at index 2"));
         let mut broken = masking;
         broken[0][0] = f32::NAN;
-        assert!(refused(Factors::IndependentG { product, masking: broken }).contains("masking holds NaN"));
+        assert!(
+            refused(Factors::IndependentG { product, masking: broken })
+                .to_string()
+                .contains("masking holds NaN")
+        );
         table.pop();
-        assert!(refused(Factors::Bivariate(table)).contains("8099 bins, expected 90 times 90"));
+        assert!(refused(Factors::Bivariate(table)).to_string().contains("8099 bins, expected 90 times 90"));
     }
 }

@@ -22,6 +22,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 
+use crate::error::Invalid;
 use crate::kernels::network::{Network, One, Rows};
 use crate::kernels::{Kernel, splat3};
 use crate::models::Model;
@@ -60,18 +61,18 @@ impl Features {
     ///
     /// # Errors
     /// In words, that links point nowhere, from two tables to one row, or that a row is kept for nothing.
-    fn tables(&self, layout: &Layout) -> Result<Vec<usize>, String> {
+    fn tables(&self, layout: &Layout) -> Result<Vec<usize>, Invalid> {
         let places = layout.places();
         let kept = self.store.rows(layout.form().features.into());
         let Some(links) = &self.links else {
             return if kept == places.len() {
                 Ok(places.iter().map(|&(table, _)| table).collect())
             } else {
-                Err(format!("it keeps {kept} rows of features, expected {}", places.len()))
+                Err(format!("it keeps {kept} rows of features, expected {}", places.len()).into())
             };
         };
         if links.len() != places.len() {
-            return Err(format!("it links {} rows, expected {}", links.len(), places.len()));
+            return Err(format!("it links {} rows, expected {}", links.len(), places.len()).into());
         }
         let mut tables = vec![None; kept];
         for (&link, &(table, _)) in links.iter().zip(places) {
@@ -79,11 +80,11 @@ impl Features {
                 format!("a row is linked to the kept row {link}, expected less than {kept}")
             })?;
             if *known.get_or_insert(table) != table {
-                return Err(format!("rows of two tables are linked to the kept row {link}"));
+                return Err(format!("rows of two tables are linked to the kept row {link}").into());
             }
         }
         let unused = |row| format!("nothing is linked to the kept row {row}");
-        tables.iter().enumerate().map(|(row, table)| table.ok_or_else(|| unused(row))).collect()
+        tables.iter().enumerate().map(|(row, table)| table.ok_or_else(|| unused(row).into())).collect()
     }
 }
 
@@ -113,7 +114,7 @@ impl Spherical {
         network: Arc<Network>,
         features: Features,
         bound: f32,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, Invalid> {
         let k = usize::from(layout.form().features);
         if network.features() != layout.form().inputs() || network.latent() != 0 || network.outputs() != 3 {
             return Err(format!(
@@ -121,10 +122,11 @@ impl Spherical {
                 network.layers()[0].inputs(),
                 network.outputs(),
                 layout.form().inputs()
-            ));
+            )
+            .into());
         }
         if bound > MAX_BOUND || !bound.is_finite() {
-            return Err(format!("the bound of the output is {bound}, expected at most {MAX_BOUND}"));
+            return Err(format!("the bound of the output is {bound}, expected at most {MAX_BOUND}").into());
         }
         let (values, of_row) = features.store.decode(k, &features.tables(&layout)?);
         if !values.iter().all(|x| x.is_finite()) {
@@ -132,7 +134,7 @@ impl Spherical {
         }
         if let Some(entry) = of_row.iter().find(|&&entry| entry as usize >= values.len() / k) {
             let found = values.len() / k;
-            return Err(format!("an index is {entry}, but the codebook has {found} primitives"));
+            return Err(format!("an index is {entry}, but the codebook has {found} primitives").into());
         }
         let kept = |row: u32| features.links.as_ref().map_or(row, |links| links[row as usize]);
         let entries: Vec<u32> = layout.rows().iter().map(|&row| of_row[kept(row) as usize]).collect();

@@ -1,5 +1,6 @@
 //! The numbers that features are kept as, in memory and in a file.
 
+use crate::error::Invalid;
 use std::sync::Arc;
 
 use half::f16;
@@ -39,10 +40,10 @@ impl StoreKind {
     ///
     /// # Errors
     /// In words, that an index has no such number of bits.
-    pub fn validate(self) -> Result<(), String> {
+    pub fn validate(self) -> Result<(), Invalid> {
         match self {
             StoreKind::Codebook(bits) if !(1..=MAX_BITS).contains(&bits) => {
-                Err(format!("an index has {bits} bits, expected 1 to {MAX_BITS}"))
+                Err(format!("an index has {bits} bits, expected 1 to {MAX_BITS}").into())
             }
             _ => Ok(()),
         }

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::pixelation::{Hemisphere, Pixelation, inverse_distances};
 use crate::directions::healpix::{Healpix, Pixels, limit};
+use crate::error::Invalid;
 use crate::simd::math::floor;
 use crate::simd::{Lanes, Real, Task, Vector};
 
@@ -101,12 +102,12 @@ impl Form {
     ///
     /// # Errors
     /// In words, why not.
-    pub fn validate(&self) -> Result<(), String> {
+    pub fn validate(&self) -> Result<(), Invalid> {
         if !FEATURE_COUNTS.contains(&self.features) {
-            return Err(format!("a point has {} features, expected 4, 8 or 16", self.features));
+            return Err(format!("a point has {} features, expected 4, 8 or 16", self.features).into());
         }
         if self.grids.axes() > 0 && !(2..=MAX_NODES).contains(&self.nodes) {
-            return Err(format!("a list has {} nodes, expected 2 to {MAX_NODES}", self.nodes));
+            return Err(format!("a list has {} nodes, expected 2 to {MAX_NODES}", self.nodes).into());
         }
         if self.pixelation == Pixelation::Fibonacci && self.interpolation == Interpolation::Bilinear {
             return Err(
@@ -170,7 +171,7 @@ impl Layout {
     ///
     /// # Errors
     /// As [`Form::validate`].
-    pub fn new(form: Form) -> Result<Layout, String> {
+    pub fn new(form: Form) -> Result<Layout, Invalid> {
         form.validate()?;
         let hemisphere = Hemisphere::new(form.pixelation, form.nside);
         let points: Vec<DVec3> = (0..hemisphere.points()).map(|i| hemisphere.direction(i)).collect();
