@@ -5,5 +5,6 @@
 //! the whole renderer.
 
 mod bridge;
+mod material;
 mod packet;
 mod sampler_packet;

@@ -21,7 +21,7 @@ use std::ffi::c_void;
 use glimt_core::mixed;
 use glimt_core::simd::{LANES, Lane3};
 
-use crate::bridge::{Material, guarded};
+use crate::material::{Material, guarded};
 
 /// Bits of [`Packet::wanted`].
 const FIRST: u32 = 1;
@@ -100,7 +100,7 @@ impl<const N: usize> Packet<N> {
     fn material(&self, lane: usize) -> &glimt_core::Material {
         let address = u64::from(self.address_high[lane]) << 32 | u64::from(self.address_low[lane]);
         // SAFETY: the lane is active, and so this is the address of a live material.
-        unsafe { &*(address as usize as *const Material) }.core()
+        unsafe { &(*(address as usize as *const Material)).material }
     }
 }
 
@@ -220,7 +220,7 @@ mod tests {
     use glimt_core::{Brdf, Library, Vec3};
 
     use super::*;
-    use crate::bridge::open;
+    use crate::material::open;
 
     fn direction(i: usize) -> [f32; 3] {
         let (z, phi) = ((i as f32 * 0.754_877_7).fract(), i as f32 * 2.4);
@@ -260,7 +260,7 @@ mod tests {
         // SAFETY: arrays of N, and the addresses in the active lanes are those of materials.
         unsafe { eval_packet::<N>(valid.as_ptr(), std::ptr::null(), std::ptr::null(), &raw mut packet) };
         for lane in (0..N).filter(|&lane| valid[lane] != 0) {
-            let material = materials[lane % 3 % 2].core();
+            let material = &materials[lane % 3 % 2].material;
             let view = Vec3::from_array(direction(lane + 80));
             let first = [0, 1, 2].map(|c| packet.first[c][lane]);
             let second = [packet.second_z[lane], packet.second[0][lane], packet.second[1][lane]];
@@ -328,7 +328,7 @@ mod tests {
         fn check<const N: usize>(material: &Material, pairs: &[(Vec3, Vec3)], case: &str) {
             for chunk in pairs.chunks_exact(N) {
                 let answers = ask::<N>(material, chunk);
-                let batch = stability::eval_batch(material.core(), chunk);
+                let batch = stability::eval_batch(&material.material, chunk);
                 for (lane, &(light, view)) in chunk.iter().enumerate() {
                     let expected = batch[lane].to_array();
                     for f in answers {

@@ -11,7 +11,7 @@ use std::ffi::c_void;
 
 use glimt_core::{Sample, SampleBrdf, Vec3};
 
-use crate::bridge::{Material, guarded};
+use crate::material::{Material, guarded};
 
 /// Embree's `RTCRayHitN` with our values in its fields.
 #[repr(C)]
@@ -71,7 +71,7 @@ unsafe extern "C" fn pdf_packet<const N: usize>(
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
         // SAFETY: the lane is active.
         let material = unsafe { packet.material(lane) };
-        let pdf = || material.core().pdf(lane_of(&packet.origin, lane), lane_of(&packet.view, lane));
+        let pdf = || material.material.pdf(lane_of(&packet.origin, lane), lane_of(&packet.view, lane));
         packet.answer[0][lane] = guarded(0.0, pdf);
     }
 }
@@ -90,7 +90,7 @@ unsafe extern "C" fn sample_packet<const N: usize>(
         let material = unsafe { packet.material(lane) };
         let direction = || {
             material
-                .core()
+                .material
                 .sampler()
                 .sample_direction(lane_of(&packet.view, lane), lane_of(&packet.origin, lane))
         };

@@ -12,9 +12,8 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Directions, Triples, aligned};
 use crate::error;
-use crate::library::Library;
 use crate::parallel;
-use crate::pickle::SourceFile;
+use crate::pickle::{self, SourceFile, State};
 
 /// A material: a fitted model, or a measured table as it is. Immutable.
 #[pyclass(frozen, module = "glimt")]
@@ -229,17 +228,14 @@ impl Material {
         slf
     }
 
-    /// `library[name]` of a library that holds this alone.
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Library, &str))> {
-        let get_item = py.import("operator")?.getattr("getitem")?;
+    /// As a library that holds this alone.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State<'py>)> {
         let material = self.material.clone();
         let entry = Entry { name: self.name.clone(), material, origin: Origin::default() };
         let alone = glimt_core::Library::new(self.file.path(), vec![entry]).map_err(error)?;
         let sampler = self.material.plan().choice();
-        Ok((
-            get_item,
-            (Library { source: Source::Library(alone), file: self.file.clone(), sampler }, &self.name),
-        ))
+        let state = pickle::state_of(py, &Source::Library(alone), &self.file, sampler)?;
+        Ok((pickle::restoring(py, "_restore_material")?, state))
     }
 
     fn __repr__(&self) -> String {

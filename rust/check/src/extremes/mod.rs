@@ -2,6 +2,7 @@
 //! be, by name. Every model and every face is run on all of it.
 
 mod materials;
+mod measurements;
 mod pairs;
 
 use std::path::{Path, PathBuf};
@@ -14,12 +15,11 @@ use glimt_core::hybrid::{self, Hybrid};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::nbrdf::{self, Nbrdf};
+use glimt_core::network::{Layer, Network};
 use glimt_core::neural::{self, Neural, Shared};
 use glimt_core::sampler::SamplerChoice;
 use glimt_core::{AnyModel, Kind, Library, Material};
 
-use crate::measurements;
-use crate::stability::{nudged_layer, nudged_network};
 pub use pairs::families;
 
 /// A light and a view.
@@ -192,6 +192,18 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
         }
     };
     Some(nudged.expect("numbers stay in their ranges"))
+}
+
+/// A network with every weight and bias put through `nudge`.
+fn nudged_network(network: &Network, nudge: &mut dyn FnMut(f32) -> f32) -> Network {
+    let layers = network.layers().iter().map(|layer| nudged_layer(layer, nudge)).collect();
+    Network::new(layers, network.features(), network.activation()).expect("the shape is that of a network")
+}
+
+/// [`nudged_network`] for one layer.
+fn nudged_layer(layer: &Layer, nudge: &mut dyn FnMut(f32) -> f32) -> Layer {
+    let mut nudge = |values: &[f32]| values.iter().map(|&x| nudge(x)).collect();
+    Layer { weight: nudge(&layer.weight), bias: nudge(&layer.bias) }
 }
 
 /// Writes every material of the catalogue to `directory` as a file of its own, see [`Case::save`].

@@ -31,13 +31,13 @@ pub(super) fn layouts(form: Form) -> Result<Vec<Arc<Layout>>, String> {
     nsides.into_iter().map(|nside| Layout::new(Form { nside, ..form }).map(Arc::new)).collect()
 }
 
-impl SphericalObjective<'_> {
+impl SphericalObjective {
     /// Goes on with `finer` tables.
     pub(super) fn refine(&self, finer: &Layout, state: &mut State) {
         let (k, shared, own) = (self.features(), self.shared_len(), self.own_len());
         state.moments.first[shared..].fill(0.0);
         for numbers in [&mut state.numbers, &mut state.moments.second] {
-            numbers[shared..].chunks_exact_mut(own).for_each(|own| refine(self.layout, finer, k, own));
+            numbers[shared..].chunks_exact_mut(own).for_each(|own| refine(self.layout(), finer, k, own));
         }
     }
 }
