@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{AnyModel, Library, Material};
 use glimt_measured::Measured;
-use glimt_measured::file::{open_regular, read_regular};
+use glimt_measured::file::open_regular;
 
 use crate::error::Error;
 use crate::keras;
