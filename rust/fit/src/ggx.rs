@@ -1,7 +1,7 @@
 //! The analytic BRDF as an objective: `glimt fit --model ggx`, and where every hybrid fit starts.
 
-use glimt_core::ggx::Ggx;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::ggx::Ggx;
 use glimt_core::simd::{LANES, Lanes, Real, Vector};
 use glimt_core::{Material, dispatch};
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,7 @@
 use std::ops::ControlFlow;
 
 use glam::Vec3;
-use glimt_core::network::Activation;
+use glimt_core::kernels::network::Activation;
 use glimt_core::simd::LANES;
 use glimt_core::{Brdf, is_lit};
 use glimt_fit::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward, sum_row};

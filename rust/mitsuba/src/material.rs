@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use glimt_core::Library;
 use glimt_core::library::{Entry, mix_name};
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::sampling::SamplerChoice;
 use glimt_disk::printable;
 use glimt_files::Source;
 

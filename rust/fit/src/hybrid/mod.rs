@@ -7,9 +7,9 @@ mod objective;
 use std::sync::Arc;
 
 use glimt_core::Material;
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::{Composition, Form, Hybrid};
-use glimt_core::network::{Activation, Network};
+use glimt_core::directions::features::Inputs;
+use glimt_core::kernels::network::{Activation, Network};
+use glimt_core::models::hybrid::{Composition, Form, Hybrid};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use serde::{Deserialize, Serialize};
