@@ -125,41 +125,49 @@ pub(crate) fn fit_model(
             None => return Ok(Fit::Stopped(None)),
         },
     };
-    let asked = schedule;
-    let schedule = Schedule { steps: model.steps(asked), ..*asked };
-    let judge = Judge::new(schedule.drawing, schedule.seed, JUDGE_BLOCKS);
+    let steps = model.steps(schedule);
     let mut made: Vec<Option<Material>> = vec![None; inputs.len()];
     for (i, (group, truths)) in groups.iter().zip(&truths).enumerate() {
-        let mut objective = objective.clone();
-        let before = i as u64 * schedule.steps;
-        let mut part = parts[i].take(&state, before, schedule.steps);
-        let end = train_group(model, &mut objective, truths, &schedule, &mut part, &mut |progress, part| {
-            parts[i].put(part, before, &mut state);
-            let steps = schedule.steps * groups.len() as u64;
+        let part = &parts[i];
+        let before = i as u64 * steps;
+        let mut of_group = part.take(&state, before, steps);
+        let mut report = |progress: &Progress, of_group: &State| {
+            part.put(of_group, before, &mut state);
+            let steps = steps * groups.len() as u64;
             watch(&Progress { step: progress.step + before, steps, ..*progress }, Some(&state))
-        });
-        parts[i].put(&part, before, &mut state);
+        };
+        let schedule = Schedule { steps, ..*schedule };
+        let end = fit_group(model, &objective, truths, &schedule, &mut of_group, &mut report);
+        part.put(&of_group, before, &mut state);
         match end {
-            End::Finished => {}
-            End::Stopped => return Ok(Fit::Stopped(Some(state))),
-            End::Diverged => return Err(Error::Diverged { step: state.step }),
+            GroupEnd::Done(materials) => {
+                group.iter().zip(materials).for_each(|(&of, material)| made[of] = Some(material));
+            }
+            GroupEnd::Stopped => return Ok(Fit::Stopped(Some(state))),
+            GroupEnd::Diverged => return Err(Error::Diverged { step: state.step }),
         }
-        let materials = model.finish(&objective, &part.numbers, truths, &judge);
-        let materials = materials.map_err(|_| Error::Diverged { step: state.step })?;
-        group.iter().zip(materials).for_each(|(&of, material)| made[of] = Some(material));
     }
-    let recipe = model.recipe_json();
+    Ok(Fit::Done(entries(inputs, made, schedule, model.recipe_json())))
+}
+
+/// The materials under their names, and what they come from.
+fn entries(
+    inputs: &[Input],
+    made: Vec<Option<Material>>,
+    schedule: &Schedule,
+    recipe: Option<serde_json::Value>,
+) -> Vec<Entry> {
     let entry = |(input, material): (&Input, Option<Material>)| Entry {
         name: input.name.clone(),
         material: material.expect("every material is in a group"),
         origin: Origin {
-            seed: Some(asked.seed),
-            steps: Some(asked.steps),
+            seed: Some(schedule.seed),
+            steps: Some(schedule.steps),
             recipe: recipe.clone(),
             ..input.origin.clone()
         },
     };
-    Ok(Fit::Done(inputs.iter().zip(made).map(entry).collect()))
+    inputs.iter().zip(made).map(entry).collect()
 }
 
 /// The first state of all groups; `None` if it was stopped.
@@ -234,6 +242,33 @@ impl Part {
         all.moments.touched[self.rows.clone()].copy_from_slice(&part.moments.touched);
         all.step = all.step.max(before + part.step);
     }
+}
+
+/// How the fit of a group ended.
+enum GroupEnd {
+    Done(Vec<Material>),
+    Stopped,
+    Diverged,
+}
+
+/// Trains a group and makes its materials.
+fn fit_group<F: Fittable>(
+    model: &F,
+    objective: &F::Objective,
+    truths: &[Truth],
+    schedule: &Schedule,
+    state: &mut State,
+    watch: &mut dyn FnMut(&Progress, &State) -> ControlFlow<()>,
+) -> GroupEnd {
+    let mut objective = objective.clone();
+    match train_group(model, &mut objective, truths, schedule, state, watch) {
+        End::Finished => {}
+        End::Stopped => return GroupEnd::Stopped,
+        End::Diverged => return GroupEnd::Diverged,
+    }
+    let judge = Judge::new(schedule.drawing, schedule.seed, JUDGE_BLOCKS);
+    let made = model.finish(&objective, &state.numbers, truths, &judge);
+    made.map_or(GroupEnd::Diverged, GroupEnd::Done)
 }
 
 /// [`train`], from turn to turn.

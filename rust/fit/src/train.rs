@@ -116,7 +116,7 @@ pub struct Progress {
 pub type Watch<'a> = dyn FnMut(&Progress, Option<&State>) -> ControlFlow<()> + 'a;
 
 /// Steps between reports.
-pub(crate) const REPORT_EVERY: u64 = 50;
+pub const REPORT_EVERY: u64 = 50;
 
 /// How [`train`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

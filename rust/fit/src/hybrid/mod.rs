@@ -1,5 +1,5 @@
-//! The hybrid model: its options, and how its fit starts and ends. [`objective`] is what is trained; [`addition`] adds
-//! materials to a finished library.
+//! The hybrid model: its options, and how its fit starts and ends. `objective.rs` is what is trained; `addition.rs`
+//! adds materials to a finished library.
 
 pub(crate) mod addition;
 mod objective;
