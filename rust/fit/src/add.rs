@@ -16,7 +16,7 @@ pub const ADD_STEPS: u64 = 1500;
 ///
 /// # Errors
 /// [`Error::Options`] if the library is not a hybrid one with a shared network, or if a material is
-/// anisotropic and the library is not; [`Error::Material`], [`Error::Diverged`].
+/// anisotropic and the library is not; [`Error::Library`], [`Error::Material`], [`Error::Diverged`].
 pub fn add(
     library: &Library,
     inputs: &[Input],
@@ -31,8 +31,10 @@ pub fn add(
     })
 }
 
-/// How many numbers [`add`] fits for each of `inputs`; `None` if it can add nothing to the library.
-#[must_use]
-pub fn numbers_each(library: &Library, inputs: &[Input]) -> Option<usize> {
-    Some(Addition::new(library).ok()?.own_len(all_isotropic(inputs)))
+/// How many numbers [`add`] fits for each of `inputs`.
+///
+/// # Errors
+/// As [`add`], if nothing can be added to the library.
+pub fn numbers_each(library: &Library, inputs: &[Input]) -> Result<usize, Error> {
+    Ok(Addition::new(library)?.own_len(all_isotropic(inputs)))
 }

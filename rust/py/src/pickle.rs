@@ -75,7 +75,8 @@ pub fn state_of<'py>(
     sampler: Option<SamplerChoice>,
 ) -> PyResult<State<'py>> {
     let held = source.library().ok();
-    let (path, content) = match held.and_then(|held| held.to_bytes()) {
+    let bytes = held.map(|held| held.to_bytes()).transpose().map_err(error)?;
+    let (path, content) = match bytes.flatten() {
         Some(bytes) => (source.path(), PyBytes::new(py, &bytes).into_any()),
         None => (file.path(), PyString::new(py, file.sha256()?).into_any()),
     };

@@ -33,15 +33,15 @@ impl<'a> Addition<'a> {
     /// To `library`.
     ///
     /// # Errors
-    /// [`Error::Options`] if it is not a hybrid one with a shared network.
+    /// [`Error::Options`] if it is not a hybrid one with a shared network; [`Error::Library`].
     pub(crate) fn new(library: &'a Library) -> Result<Addition<'a>, Error> {
-        let AnyModel::Hybrid(first) = library.entries()[0].material.model() else {
-            return Err(no_addition(library));
-        };
-        if first.latent().is_empty() || !library.shares_network() {
-            return Err(no_addition(library));
+        let entry = library.first()?;
+        match entry.material.model() {
+            AnyModel::Hybrid(first) if !first.latent().is_empty() && library.shares_network()? => {
+                Ok(Addition { library, first, recipe: recipe(library, entry, first)? })
+            }
+            _ => Err(no_addition(library)),
         }
-        Ok(Addition { library, first, recipe: recipe(library, first)? })
     }
 
     /// How many numbers are fitted for each material.
@@ -64,24 +64,6 @@ impl<'a> Addition<'a> {
             joint: self.recipe.joint,
         }
     }
-
-    /// Starts for a new material: its analytic fit with the codes of the library that suit it best.
-    fn nearest_codes(
-        &self,
-        objective: &HybridObjective,
-        shared: &[f32],
-        p: &[f32],
-        truth: Truth,
-        judge: &Judge,
-    ) -> Vec<Vec<f32>> {
-        let start = |entry: &Entry| {
-            let own = [p, entry.material.latent()].concat();
-            (judge.loss(objective, shared, &own, truth), own)
-        };
-        let mut starts: Vec<(f64, Vec<f32>)> = self.library.entries().iter().map(start).collect();
-        starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-        starts.into_iter().take(ADD_STARTS).map(|(_, own)| own).collect()
-    }
 }
 
 /// It is over when it has started: the shared numbers stay, and each material takes the best of several starts.
@@ -96,9 +78,8 @@ impl Fittable for Addition<'_> {
                 "\"{name}\" is anisotropic, but the network of {path} is isotropic by construction"
             ));
         }
-        if let Some(Input { name, .. }) =
-            inputs.iter().find(|input| self.library.entry(Some(&input.name)).is_ok())
-        {
+        let taken = self.library.names();
+        if let Some(Input { name, .. }) = inputs.iter().find(|input| taken.contains(&input.name)) {
             return Err(format!("{path} already has a material \"{name}\""));
         }
         Ok(())
@@ -118,8 +99,11 @@ impl Fittable for Addition<'_> {
         let shared = Shape::from_layers(self.first.network().layers());
         let Some(p) = objective.fit_analytic(truths, schedule, watch)? else { return Ok(None) };
         let judge = Judge::new(Drawing::Lobes, schedule.seed, 4);
-        let candidates =
-            p.iter().zip(truths).map(|(p, &truth)| self.nearest_codes(objective, &shared, p, truth, &judge));
+        let entries = self.library.entries()?;
+        let candidates = p
+            .iter()
+            .zip(truths)
+            .map(|(p, &truth)| nearest_codes(objective, &shared, p, &entries, truth, &judge));
         let own = best_of(objective, &shared, truths, candidates.collect(), schedule, watch)?;
         Ok(own.map(|own| [shared, own.concat()].concat()))
     }
@@ -149,6 +133,24 @@ impl Fittable for Addition<'_> {
     }
 }
 
+/// Starts for a new material: its analytic fit with the codes of the library that suit it best.
+fn nearest_codes(
+    objective: &HybridObjective,
+    shared: &[f32],
+    p: &[f32],
+    entries: &[&Entry],
+    truth: Truth,
+    judge: &Judge,
+) -> Vec<Vec<f32>> {
+    let start = |entry: &&Entry| {
+        let own = [p, entry.material.latent()].concat();
+        (judge.loss(objective, shared, &own, truth), own)
+    };
+    let mut starts: Vec<(f64, Vec<f32>)> = entries.iter().map(start).collect();
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    starts.into_iter().take(ADD_STARTS).map(|(_, own)| own).collect()
+}
+
 fn no_addition(library: &Library) -> Error {
     Error::Options(format!(
         "{} holds {} materials without a shared network and latent codes, so none can be added; fit them anew",
@@ -159,8 +161,8 @@ fn no_addition(library: &Library) -> Error {
 
 /// What the library was fitted with; for one that does not say, the paper's recipe if it has the paper's
 /// inputs, and else glimt's own.
-fn recipe(library: &Library, first: &Hybrid) -> Result<Recipe, Error> {
-    if let Some(recipe) = &library.entries()[0].origin.recipe {
+fn recipe(library: &Library, entry: &Entry, first: &Hybrid) -> Result<Recipe, Error> {
+    if let Some(recipe) = &entry.origin.recipe {
         return Recipe::deserialize(recipe).map_err(|e| {
             let path = library.path().display();
             Error::Options(format!("the recipe in {path} is of another version of glimt: {e}"))
