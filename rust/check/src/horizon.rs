@@ -3,8 +3,8 @@
 use glam::Vec3;
 
 use crate::audit::pair;
-use crate::consistency::Worst;
-use crate::run::Pairs;
+use crate::difference::Worst;
+use crate::pairs::Pairs;
 use crate::subject::{Answer, Part, Subject};
 use crate::verdict::{Finding, Measure, Test};
 use crate::views::{View, direction, random, uniform, upper};

@@ -4,9 +4,10 @@
 //! Reading order: [`subject`] is what can be checked; [`run`] puts one through all tests; [`look`] is one view
 //! of it, whose samples and [`cells`] several tests share. The tests are one file per family: [`horizon`],
 //! [`consistency`], [`sampling`], [`energy`], [`edits`], [`components`], [`symmetry`]; [`audit`] sees every answer.
-//! [`verdict`] says what findings mean, [`report`] and [`page`] show them.
+//! Answers are compared by [`difference`] and [`rounding`] at [`pairs`]. [`verdict`] says what findings mean,
+//! [`report`] and [`page`] show them.
 //!
-//! Numerical stability: [`extremes`] is the catalogue, [`measurements`] its files, [`stability`] runs it, [`random_pairs`] goes beyond it,
+//! Numerical stability: [`extremes`] is the catalogue, [`stability`] runs it, [`random_pairs`] goes beyond it,
 //! [`functions`] measures the core's functions; all of them in the units of [`accuracy`].
 
 pub mod accuracy;
@@ -14,14 +15,16 @@ pub mod audit;
 pub mod cells;
 pub mod components;
 pub mod consistency;
+pub mod difference;
 pub mod edits;
 pub mod energy;
 pub mod extremes;
 pub mod functions;
 pub mod horizon;
 pub mod look;
-pub mod measurements;
+pub mod options;
 pub mod page;
+pub mod pairs;
 pub mod picture;
 pub mod random_pairs;
 pub mod report;
@@ -36,7 +39,8 @@ pub mod symmetry;
 pub mod verdict;
 pub mod views;
 
+pub use options::Options;
 pub use report::Report;
-pub use run::{Checked, Options, check};
+pub use run::{Checked, check};
 pub use subject::{Answer, BrdfSubject, Claims, Component, Draw, Part, Subject, Unanswered};
 pub use verdict::{Test, Verdict};

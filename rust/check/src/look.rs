@@ -3,8 +3,8 @@
 use glam::Vec3;
 
 use crate::cells::Cells;
-use crate::consistency::{FLOOR, OF_SAMPLE, relative};
-use crate::run::Options;
+use crate::difference::{FLOOR, OF_SAMPLE, relative};
+use crate::options::Options;
 use crate::subject::{Answer, Draw, Part, Subject};
 use crate::views::{View, random, uniform};
 

@@ -6,7 +6,7 @@
 
 use glam::Vec3;
 
-use crate::consistency::{Worst, relative, relative_rgb};
+use crate::difference::{Worst, relative, relative_rgb};
 use crate::subject::{Answer, Part, Subject};
 use crate::verdict::{Finding, Test};
 

@@ -2,7 +2,6 @@
 //! for all of them, and how far the results are from float64.
 
 use glam::Vec3;
-use glimt_core::kernels::network::{Layer, Network};
 use glimt_core::sampling::Plan;
 use glimt_core::simd::{LANES, Lane3};
 use glimt_core::{Brdf, Material, Sample, SampleBrdf, is_lit};
@@ -181,18 +180,6 @@ fn neighbours(material: &Material) -> Vec<Material> {
             })
         })
         .collect()
-}
-
-/// A network with every weight and bias put through `nudge`.
-pub fn nudged_network(network: &Network, nudge: &mut dyn FnMut(f32) -> f32) -> Network {
-    let layers = network.layers().iter().map(|layer| nudged_layer(layer, nudge)).collect();
-    Network::new(layers, network.features(), network.activation()).expect("the shape is that of a network")
-}
-
-/// [`nudged_network`] for one layer.
-pub fn nudged_layer(layer: &Layer, nudge: &mut dyn FnMut(f32) -> f32) -> Layer {
-    let mut nudge = |values: &[f32]| values.iter().map(|&x| nudge(x)).collect();
-    Layer { weight: nudge(&layer.weight), bias: nudge(&layer.bias) }
 }
 
 #[cfg(test)]

@@ -3,9 +3,9 @@
 use glam::{Quat, Vec3};
 
 use crate::audit::pair;
-use crate::consistency::{FLOOR, Worst, relative_rgb};
+use crate::difference::{FLOOR, Worst, relative_rgb};
+use crate::pairs::Pairs;
 use crate::rounding::{Judged, beyond_rgb, range_of_response};
-use crate::run::Pairs;
 use crate::subject::{Answer, Part, Subject};
 use crate::verdict::{Finding, Measure, Test};
 

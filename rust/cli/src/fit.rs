@@ -19,8 +19,8 @@ use glimt_fit::loss::Loss;
 use glimt_fit::options::DEFAULT_ANALYTIC_LOSS;
 use glimt_fit::train::Schedule;
 use glimt_fit::{
-    FactorOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth,
-    doubts, doubts_of, doubts_of_tables, fit, fit_factor,
+    FactorOptions, GgxOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options,
+    Outcome, Truth, doubts, doubts_of, doubts_of_tables, fit, fit_factor,
 };
 use serde::de::DeserializeOwned;
 use serde::de::value::{Error as ValueError, StrDeserializer};
@@ -212,7 +212,9 @@ impl Arguments {
     fn options(&self, inputs: &[Input]) -> Result<(Options, Option<String>), Usage> {
         let mut note = None;
         let model = match self.model {
-            ModelName::Ggx => Model::Ggx(if self.paper { Loss::PAPER } else { DEFAULT_ANALYTIC_LOSS }),
+            ModelName::Ggx => {
+                Model::Ggx(GgxOptions { loss: if self.paper { Loss::PAPER } else { DEFAULT_ANALYTIC_LOSS } })
+            }
             ModelName::Hybrid => Model::Hybrid(self.hybrid()),
             ModelName::Neural => Model::Neural(self.neural()),
             ModelName::Factor => unreachable!("factor tables have options of their own"),
@@ -551,8 +553,10 @@ mod tests {
     fn a_checkpoint_is_written_once_a_minute() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lib.safetensors.checkpoint");
-        let options =
-            Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(100, 0) };
+        let options = Options {
+            model: Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS }),
+            schedule: Schedule::standard(100, 0),
+        };
         let at = |step| {
             let options = options.clone();
             let state = State { step, ..State::new(vec![1.0, 2.0]) };
@@ -579,8 +583,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("gone").join("lib.safetensors.checkpoint");
         let mut keeper = Keeper { path: &path, last: Instant::now() - Keeper::INTERVAL, kept: false };
-        let options =
-            Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(100, 0) };
+        let options = Options {
+            model: Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS }),
+            schedule: Schedule::standard(100, 0),
+        };
         let checkpoint = Checkpoint { options, materials: Vec::new(), state: State::new(vec![1.0]) };
         keeper.keep(|path| Ok(checkpoint.save(path)?));
         assert!(!keeper.kept);

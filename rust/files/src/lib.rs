@@ -15,10 +15,12 @@ pub mod keras;
 pub mod merl_fits;
 pub mod nbrdf;
 pub mod npy;
+mod origin;
 pub mod samples;
 mod source;
 
 pub use error::Error;
 pub use npy::Array;
+pub use origin::{sha256, sha256_of};
 pub use samples::Samples;
-pub use source::{Source, sha256, sha256_of};
+pub use source::Source;

@@ -11,7 +11,7 @@ use glimt_core::{Library, Material};
 use glimt_measured::file::read_regular;
 
 use crate::error::Error;
-use crate::source::{file_name, sha256};
+use crate::origin::{file_name, sha256};
 
 /// The lobes that are read.
 const LOBES: [&str; 5] =

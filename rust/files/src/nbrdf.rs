@@ -160,7 +160,7 @@ fn assemble(arrays: &HashMap<String, Array>) -> Result<Nbrdf, String> {
         layers.push(layer);
     }
     let network = Network::new(layers, FEATURES, Activation::Relu)?;
-    Nbrdf::new(Arc::new(network))
+    Ok(Nbrdf::new(Arc::new(network))?)
 }
 
 /// A layer from its weights, [inputs][outputs].

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::{AnyModel, Library, Material};
 use glimt_measured::Measured;
-use glimt_measured::file::{open_regular, read_regular};
-use sha2::{Digest, Sha256};
+use glimt_measured::file::open_regular;
 
 use crate::error::Error;
 use crate::keras;
 use crate::merl_fits;
 use crate::nbrdf;
 use crate::npy;
+use crate::origin::{file_name, sha256};
 use crate::samples::Samples;
 
 /// What a file holds: materials, or samples of one.
@@ -154,39 +154,9 @@ fn open_nbrdf(path: &Path) -> Result<Source, Error> {
     single(path, nbrdf::name(path), material, origin)
 }
 
-pub(crate) fn file_name(path: &Path) -> String {
-    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
-}
-
-/// SHA-256 of a file in hexadecimal.
-///
-/// # Errors
-/// [`Error::Read`].
-pub fn sha256(path: &Path) -> Result<String, Error> {
-    Ok(sha256_of(&read_regular(path).map_err(Error::read(path))?))
-}
-
-/// SHA-256 of some bytes, in hexadecimal.
-#[must_use]
-pub fn sha256_of(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn hash_is_that_of_the_standard() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("abc");
-        std::fs::write(&path, "abc").unwrap();
-        // FIPS 180-4, the example of one block.
-        assert_eq!(
-            sha256(&path).unwrap(),
-            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-        );
-    }
 
     #[test]
     fn what_is_unknown_is_refused_with_what_is_known() {

@@ -1,5 +1,7 @@
 //! AdamW (Loshchilov & Hutter 2019): Adam with decoupled weight decay.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 /// Settings of the optimiser.
@@ -21,31 +23,38 @@ impl AdamW {
 /// Added to the root of the mean square, so that numbers with no gradient stay where they are.
 const EPSILON: f32 = 1e-8;
 
-/// Means that the optimiser keeps for each number.
+/// What the optimiser keeps of the steps that were.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Moments {
-    /// Mean of the gradient.
+    /// Mean of the gradient, for each number.
     pub first: Vec<f32>,
-    /// Mean of its square.
+    /// Mean of its square, for each number.
     pub second: Vec<f32>,
+    /// For each row of the materials' tables, the steps that touched it.
+    pub touched: Vec<u32>,
 }
 
 impl Moments {
-    /// For `n` numbers that have not moved yet.
+    /// For `n` numbers and `rows` of tables among them that have not moved yet.
     #[must_use]
-    pub fn new(n: usize) -> Self {
-        Moments { first: vec![0.0; n], second: vec![0.0; n] }
+    pub fn new(n: usize, rows: usize) -> Self {
+        Moments { first: vec![0.0; n], second: vec![0.0; n], touched: vec![0; rows] }
+    }
+
+    /// The means of some of the numbers: of the gradient, and of its square.
+    pub fn of(&mut self, numbers: Range<usize>) -> [&mut [f32]; 2] {
+        [&mut self.first[numbers.clone()], &mut self.second[numbers]]
     }
 }
 
 impl AdamW {
-    /// Moves `numbers` against `gradient`; `step` counts from 1, and `decays` says which numbers
-    /// weight decay pulls to 0.
+    /// Moves `numbers`, whose means are `first` and `second`, against `gradient`. `step` counts the steps that moved
+    /// them from 1, and `decays` says which of them weight decay pulls to 0.
     pub fn update(
         &self,
         numbers: &mut [f32],
         gradient: &[f32],
-        moments: &mut Moments,
+        [first, second]: [&mut [f32]; 2],
         step: u64,
         rate: f32,
         decays: impl Fn(usize) -> bool,
@@ -54,7 +63,7 @@ impl AdamW {
         let first_correction = 1.0 / (1.0 - f64::from(self.beta1).powi(step)) as f32;
         let second_correction = 1.0 / (1.0 - f64::from(self.beta2).powi(step)) as f32;
         for (i, (number, &g)) in numbers.iter_mut().zip(gradient).enumerate() {
-            let (m, v) = (&mut moments.first[i], &mut moments.second[i]);
+            let (m, v) = (&mut first[i], &mut second[i]);
             *m += (1.0 - self.beta1) * (g - *m);
             *v += (1.0 - self.beta2) * (g * g - *v);
             if decays(i) {
@@ -89,11 +98,11 @@ mod tests {
     #[test]
     fn first_step_has_the_length_of_the_rate() {
         let mut numbers = [1.0, -2.0];
-        let mut moments = Moments::new(2);
+        let mut moments = Moments::new(2, 0);
         AdamW { weight_decay: 0.0, ..AdamW::PAPER }.update(
             &mut numbers,
             &[3.0, -0.01],
-            &mut moments,
+            moments.of(0..2),
             1,
             0.1,
             |_| true,
@@ -104,22 +113,22 @@ mod tests {
     #[test]
     fn weight_decay_is_decoupled_and_selective() {
         let mut numbers = [1.0, 1.0];
-        let mut moments = Moments::new(2);
-        AdamW::PAPER.update(&mut numbers, &[0.0, 0.0], &mut moments, 1, 0.5, |i| i == 0);
+        let mut moments = Moments::new(2, 0);
+        AdamW::PAPER.update(&mut numbers, &[0.0, 0.0], moments.of(0..2), 1, 0.5, |i| i == 0);
         assert_eq!(numbers, [1.0 - 0.5 * 0.01, 1.0]);
     }
 
     #[test]
     fn a_quadratic_bowl_is_descended_to_its_bottom() {
         let mut numbers = [5.0f32, -3.0];
-        let mut moments = Moments::new(2);
+        let mut moments = Moments::new(2, 0);
         for step in 1..=2000 {
             let gradient = [2.0 * (numbers[0] - 1.0), 200.0 * (numbers[1] - 2.0)];
             let rate = cosine_decay(0.05, step - 1, 2000);
             AdamW { weight_decay: 0.0, ..AdamW::PAPER }.update(
                 &mut numbers,
                 &gradient,
-                &mut moments,
+                moments.of(0..2),
                 step,
                 rate,
                 |_| true,

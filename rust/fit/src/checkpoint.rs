@@ -1,6 +1,6 @@
 //! An interrupted fit as a file, from which it goes on to the same result.
 //!
-//! The container is safetensors: the numbers and the optimiser's means as tensors, and in the
+//! The container is safetensors: the numbers and what the optimiser keeps as tensors, and in the
 //! metadata under `glimt-checkpoint` the options and the materials, which must be the same again.
 
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::adamw::Moments;
 use crate::error::Error;
-use crate::fit::{Input, identities};
+use crate::input::{Input, identities};
 use crate::options::Options;
 use crate::train::State;
 
@@ -55,10 +55,16 @@ impl Checkpoint {
         };
         let json = serde_json::to_string(&header).expect("numbers and strings always serialise");
         let moments = &self.state.moments;
-        let tensors =
-            [("numbers", &self.state.numbers), ("first", &moments.first), ("second", &moments.second)];
-        let views = tensors.map(|(name, values)| {
-            let view = TensorView::new(Dtype::F32, vec![values.len()], bytemuck::cast_slice(values));
+        let mut tensors: Vec<(&str, Dtype, &[u8])> = vec![
+            ("numbers", Dtype::F32, bytemuck::cast_slice(&self.state.numbers)),
+            ("first", Dtype::F32, bytemuck::cast_slice(&moments.first)),
+            ("second", Dtype::F32, bytemuck::cast_slice(&moments.second)),
+        ];
+        if !moments.touched.is_empty() {
+            tensors.push(("touched", Dtype::U32, bytemuck::cast_slice(&moments.touched)));
+        }
+        let views = tensors.into_iter().map(|(name, dtype, bytes)| {
+            let view = TensorView::new(dtype, vec![bytes.len() / 4], bytes);
             (name, view.expect("the shape is made from the data"))
         });
         let bytes = safetensors::serialize(views, Some(HashMap::from([(KEY.to_owned(), json)])))
@@ -104,20 +110,28 @@ fn decode(bytes: &[u8]) -> Result<Checkpoint, String> {
     let header: Header =
         serde_json::from_str(json).map_err(|e| format!("it is of another version of glimt: {e}"))?;
     let file = SafeTensors::deserialize(bytes).map_err(container)?;
-    let take = |name: &str| -> Result<Vec<f32>, String> {
+    let words = |name: &str, dtype: Dtype| -> Result<Vec<[u8; 4]>, String> {
         let view = file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
-        if view.dtype() != Dtype::F32 {
-            return Err(format!("the tensor \"{name}\" is {:?}, expected F32", view.dtype()));
+        if view.dtype() != dtype {
+            return Err(format!("the tensor \"{name}\" is {:?}, expected {dtype:?}", view.dtype()));
         }
-        Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+        Ok(view.data().as_chunks::<4>().0.to_vec())
     };
-    let (numbers, first, second) = (take("numbers")?, take("first")?, take("second")?);
+    let floats = |name: &str| -> Result<Vec<f32>, String> {
+        Ok(words(name, Dtype::F32)?.into_iter().map(f32::from_le_bytes).collect())
+    };
+    let (numbers, first, second) = (floats("numbers")?, floats("first")?, floats("second")?);
+    // Fits without tables have none.
+    let touched = match file.tensor("touched") {
+        Ok(_) => words("touched", Dtype::U32)?.into_iter().map(u32::from_le_bytes).collect(),
+        Err(_) => Vec::new(),
+    };
     if !numbers.iter().chain(&first).chain(&second).all(|x| x.is_finite()) {
         return Err("it holds numbers that are not finite".into());
     }
     if first.len() != numbers.len() || second.len() != numbers.len() {
         return Err("its tensors differ in length".into());
     }
-    let state = State { numbers, moments: Moments { first, second }, step: header.step };
+    let state = State { numbers, moments: Moments { first, second, touched }, step: header.step };
     Ok(Checkpoint { options: header.options, materials: header.materials, state })
 }

@@ -10,7 +10,7 @@ use glimt_core::library::Entry;
 use glimt_core::{Material, SampleBrdf};
 use rayon::prelude::*;
 
-use crate::fit::Input;
+use crate::input::Input;
 use crate::truth::Truth;
 
 /// Something that a fit goes on with, but that is hardly meant.

@@ -1,14 +1,98 @@
 //! The analytic BRDF as an objective: `glimt fit --model ggx`, and where every hybrid fit starts.
 
-use glimt_core::dispatch;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::ggx::Ggx;
 use glimt_core::simd::{LANES, Lanes, Real, Vector};
+use glimt_core::{Invalid, Material, dispatch};
+use serde::{Deserialize, Serialize};
 
+use crate::adamw::AdamW;
 use crate::analytic::{self, Derivatives};
 use crate::backprop::{COLUMNS, Row, ZERO_ROW};
+use crate::error::Error;
+use crate::fittable::Fittable;
+use crate::gradient::Gradient;
+use crate::input::Input;
+use crate::judge::{Judge, best_of};
 use crate::loss::Loss;
 use crate::objective::Objective;
 use crate::pairs::{PairBlock, TargetBlock, lanes};
+use crate::train::{Schedule, Watch};
+use crate::truth::Truth;
+
+/// A fit of the analytic BRDF alone.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct GgxOptions {
+    /// Loss of f.
+    pub loss: Loss,
+}
+
+/// It is over when it has started: the steps of the analytic fit are its own.
+impl Fittable for GgxOptions {
+    type Objective = GgxObjective;
+
+    fn check(&self, _: &[Input]) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn objective(&self, isotropic: bool) -> Result<GgxObjective, String> {
+        Ok(GgxObjective { loss: self.loss, isotropic })
+    }
+
+    fn start(
+        &self,
+        objective: &GgxObjective,
+        truths: &[Truth],
+        schedule: &Schedule,
+        watch: &mut Watch,
+    ) -> Result<Option<Vec<f32>>, Error> {
+        Ok(objective.fit(truths, schedule, watch)?.map(|p| p.concat()))
+    }
+
+    fn steps(&self, _: &Schedule) -> u64 {
+        0
+    }
+
+    fn finish(
+        &self,
+        objective: &GgxObjective,
+        numbers: &[f32],
+        _: &[Truth],
+        _: &Judge,
+    ) -> Result<Vec<Material>, Invalid> {
+        let materials = numbers.chunks_exact(objective.own_len());
+        materials.map(|p| Ggx::new(analytic::to_parameters(p)).map(Material::from)).collect()
+    }
+}
+
+/// Roughnesses from which the analytic fit starts; the best end is kept.
+const START_ALPHAS: [f32; 3] = [0.05, 0.2, 0.5];
+
+impl GgxObjective {
+    /// The unbounded numbers of the best fit of every material; `None` if it was stopped.
+    pub(crate) fn fit(
+        &self,
+        truths: &[Truth],
+        schedule: &Schedule,
+        watch: &mut Watch,
+    ) -> Result<Option<Vec<Vec<f32>>>, Error> {
+        let starts = START_ALPHAS.map(|alpha| {
+            let p = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [alpha; 2] };
+            analytic::from_parameters(&p, self.isotropic)
+        });
+        // Far fewer and longer steps than networks need.
+        let standard = Schedule::standard(1500, schedule.seed);
+        let own = Schedule {
+            rate: 0.05,
+            clip: f32::INFINITY,
+            adamw: AdamW { beta2: 0.99, ..standard.adamw },
+            drawing: schedule.drawing,
+            ..standard
+        };
+        best_of(self, &[], truths, vec![starts.to_vec(); truths.len()], &own, watch)
+    }
+}
 
 /// Fits k_d, η and α alone.
 #[derive(Clone, Copy, Debug)]
@@ -142,15 +226,14 @@ impl Objective for GgxObjective {
         own: &[f32],
         pairs: &PairBlock,
         target: &TargetBlock,
-        _shared_gradient: &mut [f32],
-        own_gradient: &mut [f32],
+        gradient: &mut Gradient,
     ) -> f64 {
         let rows = &mut workspace.rows;
         let slopes = workspace.slopes.get_or_insert_with(|| Box::new([ZERO_ROW; 3]));
         evaluate(&analytic::to_parameters(own), pairs, rows);
         let mut total = [0.0; LANES];
         loss_rows(self.loss, pairs, target, &rows.value, slopes, &mut total);
-        analytic::add_gradient(own, &rows.sums(slopes), own_gradient);
+        analytic::add_gradient(own, &rows.sums(slopes), &mut gradient.own);
         total.iter().map(|&x| f64::from(x)).sum()
     }
 }

@@ -16,6 +16,11 @@ pub struct Loss {
     pub relative: f32,
 }
 
+/// Loss of glimt's fits.
+pub const DEFAULT_LOSS: Loss = Loss { absolute: 1.0, squared: 10.0, relative: 0.02 };
+/// Loss of the analytic part in glimt's fits.
+pub const DEFAULT_ANALYTIC_LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
+
 /// ε of the relative term: values below it are dark in any picture.
 const RELATIVE_FLOOR: f32 = 1e-4;
 

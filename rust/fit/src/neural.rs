@@ -1,24 +1,86 @@
-//! The neural baseline as an objective: one network and one frame layer, and z for every material
+//! The neural baseline: one network and one frame layer, and z for every material
 //! ([`glimt_core::models::neural`]).
 //!
 //! z and the frames are constant in a block, and fold into the first layer as they do at run time:
 //! what runs forward and backward is a network with six Cartesian inputs. The derivatives of its
 //! first layer then go on to weights, frames and z, once per block.
 
+use std::sync::Arc;
+
 use glam::{Mat3, Vec3};
-use glimt_core::dispatch;
 use glimt_core::kernels::network::{Activation, Layer, Network};
-use glimt_core::models::neural::{FEATURES, FRAME_OUTPUTS, FRAMES, Shared, frame};
+use glimt_core::models::neural::{FEATURES, FRAME_OUTPUTS, FRAMES, Neural, Shared, frame};
 use glimt_core::simd::math::exp;
 use glimt_core::simd::{LANES, Real, Vector};
-use rand::{RngExt, SeedableRng};
+use glimt_core::{Invalid, Material, dispatch};
+use rand::SeedableRng;
 use rand_pcg::Pcg64;
+use serde::{Deserialize, Serialize};
 
 use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward};
+use crate::error::Error;
+use crate::fittable::Fittable;
 use crate::ggx::loss_rows;
+use crate::gradient::Gradient;
+use crate::input::Input;
+use crate::judge::{BOUND_MARGIN, Judge};
 use crate::loss::Loss;
+use crate::net::{NEEDS_CODE, Net, random_layers, symmetric};
 use crate::objective::Objective;
 use crate::pairs::{PairBlock, TargetBlock};
+use crate::train::{Schedule, Watch};
+use crate::truth::Truth;
+
+/// A fit of the network-only baseline.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NeuralOptions {
+    /// Hidden layers.
+    pub net: Net,
+    /// Numbers in the latent code.
+    pub latent: usize,
+    /// Loss of f.
+    pub loss: Loss,
+}
+
+impl Fittable for NeuralOptions {
+    type Objective = NeuralObjective;
+
+    fn check(&self, _: &[Input]) -> Result<(), String> {
+        self.net.check(self.latent)?;
+        if self.latent == 0 { Err(NEEDS_CODE.into()) } else { Ok(()) }
+    }
+
+    fn objective(&self, _isotropic: bool) -> Result<NeuralObjective, String> {
+        Ok(NeuralObjective::new(&self.net.hidden(), self.latent, Activation::HardGelu, self.loss))
+    }
+
+    fn start(
+        &self,
+        objective: &NeuralObjective,
+        truths: &[Truth],
+        schedule: &Schedule,
+        _: &mut Watch,
+    ) -> Result<Option<Vec<f32>>, Error> {
+        Ok(Some(objective.initial(schedule.seed, truths.len())))
+    }
+
+    fn finish(
+        &self,
+        objective: &NeuralObjective,
+        numbers: &[f32],
+        truths: &[Truth],
+        judge: &Judge,
+    ) -> Result<Vec<Material>, Invalid> {
+        let (shared, own) = numbers.split_at(objective.shared_len());
+        let made = Arc::new(objective.to_shared(shared)?);
+        let materials = own.chunks_exact(objective.own_len()).zip(truths);
+        let material = |(z, &truth): (&[f32], &Truth)| {
+            let bound = objective.largest_output(shared, z, &judge.look(truth).0) + BOUND_MARGIN;
+            Neural::new(made.clone(), z.to_vec(), bound).map(Material::from)
+        };
+        materials.map(material).collect()
+    }
+}
 
 /// Fits network, frame layer and z together.
 ///
@@ -90,18 +152,12 @@ impl NeuralObjective {
     #[must_use]
     pub fn initial(&self, seed: u64, materials: usize) -> Vec<f32> {
         let mut rng = Pcg64::seed_from_u64(seed);
-        let mut uniform = |count: usize, range: f32| -> Vec<f32> {
-            (0..count).map(|_| (2.0 * rng.random::<f32>() - 1.0) * range).collect()
-        };
-        let mut numbers = Vec::with_capacity(self.shared_len() + materials * self.latent);
-        for layer in 0..self.shape.layers() {
-            let (inputs, outputs) = self.shape.layer(layer);
-            numbers.extend(uniform((inputs + 1) * outputs, 1.0 / (inputs as f32).sqrt()));
-        }
+        let mut numbers = random_layers(&self.shape, &mut rng);
         let (_, output_bias) = self.shape.split_mut(&mut numbers, self.shape.layers() - 1);
         output_bias.iter_mut().for_each(|bias| *bias += INITIAL_OUTPUT);
-        numbers.extend(uniform((self.latent + 1) * FRAME_OUTPUTS, INITIAL_FRAME));
-        numbers.extend(uniform(materials * self.latent, INITIAL_LATENT));
+        let frames = (self.latent + 1) * FRAME_OUTPUTS;
+        numbers.extend((0..frames).map(|_| INITIAL_FRAME * symmetric(&mut rng)));
+        numbers.extend((0..materials * self.latent).map(|_| INITIAL_LATENT * symmetric(&mut rng)));
         numbers
     }
 
@@ -109,7 +165,7 @@ impl NeuralObjective {
     ///
     /// # Errors
     /// In words, if the core does not take the network: too wide, or not finite.
-    pub fn to_shared(&self, shared: &[f32]) -> Result<Shared, String> {
+    pub fn to_shared(&self, shared: &[f32]) -> Result<Shared, Invalid> {
         let network = Network::new(self.shape.to_layers(shared), FEATURES, self.activation)?;
         let (weight, bias) = self.frame_layer(shared);
         Ok(Shared { network, frames: Layer { weight: weight.to_vec(), bias: bias.to_vec() } })
@@ -261,8 +317,7 @@ impl Objective for NeuralObjective {
         own: &[f32],
         pairs: &PairBlock,
         target: &TargetBlock,
-        shared_gradient: &mut [f32],
-        own_gradient: &mut [f32],
+        gradient: &mut Gradient,
     ) -> f64 {
         let workspace = &mut **workspace;
         let frames = self.predict(workspace, shared, own, pairs);
@@ -282,7 +337,7 @@ impl Objective for NeuralObjective {
         }
         workspace.gradient.fill(0.0);
         backward(&self.folded, &workspace.numbers, &mut workspace.network, &mut workspace.gradient);
-        self.unfold(&workspace.gradient, shared, own, &frames, shared_gradient, own_gradient);
+        self.unfold(&workspace.gradient, shared, own, &frames, &mut gradient.shared, &mut gradient.own);
         total.iter().map(|&x| f64::from(x)).sum()
     }
 
@@ -360,15 +415,12 @@ mod tests {
     use crate::adamw::AdamW;
     use crate::backprop::BLOCK;
     use crate::pairs::{self, Drawing};
-    use crate::train::{Schedule, State, train};
-    use crate::truth::Truth;
+    use crate::train::{State, train};
     use glam::{DMat3, DVec3};
     use glimt_core::Brdf;
     use glimt_core::microfacet::Microfacet;
     use glimt_core::models::ggx::Ggx;
-    use glimt_core::models::neural::Neural;
     use std::ops::ControlFlow;
-    use std::sync::Arc;
 
     const LOSS: Loss = Loss { absolute: 1.0, squared: 1.0, relative: 0.02 };
 
@@ -471,17 +523,10 @@ mod tests {
         let target = &pairs::evaluate(&materials()[1], std::slice::from_ref(pairs))[0];
         let mut workspace = objective.workspace();
         // A first block, from which nothing may stay in the workspace.
-        objective.block(
-            &mut workspace,
-            shared,
-            &[0.0; LATENT],
-            pairs,
-            target,
-            &mut vec![0.0; shared.len()],
-            &mut [0.0; LATENT],
-        );
-        let (mut by_shared, mut by_z) = (vec![0.0; shared.len()], vec![0.0; LATENT]);
-        let loss = objective.block(&mut workspace, shared, z, pairs, target, &mut by_shared, &mut by_z);
+        let mut gradient = objective.zero_gradient();
+        objective.block(&mut workspace, shared, &[0.0; LATENT], pairs, target, &mut gradient);
+        let mut gradient = objective.zero_gradient();
+        let loss = objective.block(&mut workspace, shared, z, pairs, target, &mut gradient);
         let mut double = to_f64(&numbers);
         let truth = reference(&objective, &double, pairs, target);
         assert!((loss - truth).abs() < 1e-5 * truth, "loss {loss} against {truth}");
@@ -490,7 +535,7 @@ mod tests {
         let rest = first_len(&objective.shape);
         let frames = objective.shape.len();
         let frame_bias = frames + FRAME_OUTPUTS * LATENT;
-        let gradient = [by_shared, by_z].concat();
+        let gradient = [gradient.shared, gradient.own].concat();
         for (kind, range, step) in [
             ("weight of a frame", 0..FEATURES, 1),
             ("weight of z", 3 * first + FEATURES..4 * first, 1),
@@ -612,6 +657,6 @@ mod tests {
         let objective = objective(&[16], 4);
         let mut numbers = objective.initial(1, 0);
         numbers[10] = f32::NAN;
-        assert!(objective.to_shared(&numbers).unwrap_err().contains("not finite"));
+        assert!(objective.to_shared(&numbers).unwrap_err().to_string().contains("not finite"));
     }
 }

@@ -1,7 +1,7 @@
 //! The training loop: the same for every objective.
 
 use std::borrow::Cow;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::adamw::{AdamW, Moments, clip_norm, cosine_decay};
 use crate::backprop::BLOCK;
+use crate::gradient::{Gradient, add};
 use crate::objective::Objective;
 use crate::pairs::{self, Drawing, PairBlock, TargetBlock};
 use crate::truth::Truth;
@@ -34,6 +35,35 @@ pub struct Schedule {
     pub freeze_shared: bool,
 }
 
+impl Schedule {
+    /// glimt's own schedule.
+    #[must_use]
+    pub fn standard(steps: u64, seed: u64) -> Self {
+        Schedule {
+            steps,
+            blocks: 4,
+            seed,
+            rate: 1e-2,
+            clip: 0.02,
+            adamw: AdamW { weight_decay: 0.0, ..AdamW::PAPER },
+            drawing: Drawing::Lobes,
+            freeze_shared: false,
+        }
+    }
+
+    /// The paper's schedule (§3.3): 1024 cosine-distributed pairs a step, gradients clipped at 0.01.
+    #[must_use]
+    pub fn paper(steps: u64, seed: u64) -> Self {
+        Schedule {
+            rate: 5e-3,
+            clip: 0.01,
+            adamw: AdamW::PAPER,
+            drawing: Drawing::Cosine,
+            ..Self::standard(steps, seed)
+        }
+    }
+}
+
 /// Blocks that are drawn and evaluated at a time.
 const POOL_BLOCKS: usize = 256;
 /// Most blocks in a step.
@@ -54,10 +84,17 @@ pub struct State {
 }
 
 impl State {
-    /// The start of a fit from its first numbers.
+    /// The start of a fit from its first numbers, among which there is no table.
     #[must_use]
     pub fn new(numbers: Vec<f32>) -> Self {
-        State { moments: Moments::new(numbers.len()), numbers, step: 0 }
+        State { moments: Moments::new(numbers.len(), 0), numbers, step: 0 }
+    }
+
+    /// The start of a fit of `materials` from its first numbers.
+    #[must_use]
+    pub fn of(objective: &impl Objective, materials: usize, numbers: Vec<f32>) -> Self {
+        let rows = materials * objective.table().rows;
+        State { moments: Moments::new(numbers.len(), rows), numbers, step: 0 }
     }
 }
 
@@ -74,8 +111,12 @@ pub struct Progress {
     pub rate: f64,
 }
 
+/// Looks at a fit as it goes and may stop it. The state is what a checkpoint keeps; there is none in what comes
+/// before the first numbers, such as the fit of an analytic part.
+pub type Watch<'a> = dyn FnMut(&Progress, Option<&State>) -> ControlFlow<()> + 'a;
+
 /// Steps between reports.
-pub(crate) const REPORT_EVERY: u64 = 50;
+pub const REPORT_EVERY: u64 = 50;
 
 /// How [`train`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,15 +156,12 @@ pub fn train<O: Objective>(
         let (step_loss, mut gradient) = gradient(objective, &state.numbers, &pool, &blocks);
         loss += step_loss / materials.len() as f64;
         if schedule.freeze_shared {
-            gradient[..objective.shared_len()].fill(0.0);
+            gradient.values[..objective.shared_len()].fill(0.0);
         }
-        if !clip_norm(&mut gradient, schedule.clip).is_finite() {
+        if !clip_norm(&mut gradient.values, schedule.clip).is_finite() {
             return End::Diverged;
         }
-        let rate = cosine_decay(schedule.rate, state.step, schedule.steps);
-        let decays = |i| !schedule.freeze_shared && objective.decays(i);
-        state.step += 1;
-        schedule.adamw.update(&mut state.numbers, &gradient, &mut state.moments, state.step, rate, decays);
+        step(objective, schedule, &gradient, state);
 
         if state.step.is_multiple_of(REPORT_EVERY) || state.step == schedule.steps {
             let done = (state.step - 1) % REPORT_EVERY + 1;
@@ -188,49 +226,103 @@ impl Pool {
 /// Odd, and far from any simple fraction of the pool.
 const STRIDE: usize = 79;
 
+/// The gradient of a step by all numbers but the rows that it does not touch.
+struct StepGradient {
+    /// In the order of the numbers, without gaps.
+    values: Vec<f32>,
+    /// Which numbers the values are by.
+    spans: Vec<Span>,
+}
+
+/// Numbers that follow each other.
+struct Span {
+    numbers: Range<usize>,
+    /// If they are a row of a table, which one of those of all materials.
+    row: Option<usize>,
+}
+
+impl StepGradient {
+    fn push(&mut self, start: usize, row: Option<usize>, values: &[f32]) {
+        self.spans.push(Span { numbers: start..start + values.len(), row });
+        self.values.extend_from_slice(values);
+    }
+}
+
 /// Loss per pair and channel summed over the materials, and its gradient.
-fn gradient<O: Objective>(objective: &O, numbers: &[f32], pool: &Pool, blocks: &[usize]) -> (f64, Vec<f32>) {
+fn gradient<O: Objective>(
+    objective: &O,
+    numbers: &[f32],
+    pool: &Pool,
+    blocks: &[usize],
+) -> (f64, StepGradient) {
     let (shared, own) = numbers.split_at(objective.shared_len());
     let own_len = objective.own_len();
-    let work: Vec<(usize, usize)> = (0..pool.targets.len())
-        .flat_map(|material| blocks.iter().map(move |&block| (material, block)))
-        .collect();
-    let parts: Vec<(f64, Vec<f32>, Vec<f32>)> = work
+    let materials = pool.targets.len();
+    let work: Vec<(usize, usize)> =
+        (0..materials).flat_map(|material| blocks.iter().map(move |&block| (material, block))).collect();
+    let parts: Vec<(f64, Gradient)> = work
         .par_iter()
         .map_init(
             || objective.workspace(),
             |workspace, &(material, block)| {
-                let mut shared_gradient = vec![0.0; shared.len()];
-                let mut own_gradient = vec![0.0; own_len];
+                let mut gradient = objective.zero_gradient();
                 let loss = objective.block(
                     workspace,
                     shared,
                     &own[material * own_len..][..own_len],
                     pool.pairs(material, block),
                     &pool.targets[material][block],
-                    &mut shared_gradient,
-                    &mut own_gradient,
+                    &mut gradient,
                 );
-                (loss, shared_gradient, own_gradient)
+                (loss, gradient)
             },
         )
         .collect();
     // Added up in the order of the work, whichever thread did it.
     let mut total = 0.0;
-    let mut gradient = vec![0.0; numbers.len()];
-    for ((material, _), (loss, shared_part, own_part)) in work.iter().zip(parts) {
+    let Gradient { shared: mut by_shared, own, rows } = objective.zero_gradient();
+    let mut sums = vec![(own, rows); materials];
+    for (&(material, _), (loss, part)) in work.iter().zip(&parts) {
         total += loss;
-        let at = shared.len() + material * own_len;
-        add(&mut gradient[..shared.len()], &shared_part);
-        add(&mut gradient[at..at + own_len], &own_part);
+        add(&mut by_shared, &part.shared);
+        let (by_own, by_rows) = &mut sums[material];
+        add(by_own, &part.own);
+        part.rows.iter().for_each(|(row, values)| add(by_rows.row(row), values));
+    }
+    let mut gradient = StepGradient { values: Vec::new(), spans: Vec::new() };
+    gradient.push(0, None, &by_shared);
+    let table = objective.table();
+    for (material, (by_own, by_rows)) in sums.iter().enumerate() {
+        let start = shared.len() + material * own_len;
+        gradient.push(start, None, by_own);
+        for (row, values) in by_rows.iter() {
+            let start = start + by_own.len() + row * table.width;
+            gradient.push(start, Some(material * table.rows + row), values);
+        }
     }
     let scale = 1.0 / (blocks.len() * BLOCK * 3) as f32;
-    gradient.iter_mut().for_each(|g| *g *= scale);
+    gradient.values.iter_mut().for_each(|g| *g *= scale);
     (total * f64::from(scale), gradient)
 }
 
-fn add(sum: &mut [f32], part: &[f32]) {
-    for (sum, part) in sum.iter_mut().zip(part) {
-        *sum += part;
+/// Moves all numbers but the rows that the step does not touch.
+fn step(objective: &impl Objective, schedule: &Schedule, gradient: &StepGradient, state: &mut State) {
+    let rate = cosine_decay(schedule.rate, state.step, schedule.steps);
+    state.step += 1;
+    let mut rest = &gradient.values[..];
+    for Span { numbers, row } in &gradient.spans {
+        let (values, others) = rest.split_at(numbers.len());
+        rest = others;
+        let step = match *row {
+            None => state.step,
+            Some(row) => {
+                let touched = &mut state.moments.touched[row];
+                *touched = touched.saturating_add(1);
+                (*touched).into()
+            }
+        };
+        let decays = |i| !schedule.freeze_shared && objective.decays(numbers.start + i);
+        let moved = &mut state.numbers[numbers.clone()];
+        schedule.adamw.update(moved, values, state.moments.of(numbers.clone()), step, rate, decays);
     }
 }

@@ -16,8 +16,8 @@ use glimt_fit::loss::Loss;
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS};
 use glimt_fit::train::Schedule;
 use glimt_fit::{
-    FactorOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options, Outcome, Truth,
-    add, fit, fit_factor,
+    FactorOptions, GgxOptions, HybridOptions, Input, InputChoice, Model, Net, NeuralOptions, Options,
+    Outcome, Truth, add, fit, fit_factor,
 };
 
 /// A base, a lobe and a grazing sheen that no GGX lobe has.
@@ -99,7 +99,10 @@ fn log_mae(truth: &dyn Brdf, model: &dyn Brdf) -> f64 {
 fn ggx_finds_the_parameters_that_made_the_data() {
     let truth = Microfacet { kd: [0.4, 0.2, 0.05], eta: [1.5, 1.9, 2.4], alpha: [0.15, 0.3] };
     let material = Ggx::new(truth).unwrap();
-    let options = Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(0, 1) };
+    let options = Options {
+        model: Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS }),
+        schedule: Schedule::standard(0, 1),
+    };
     let entries = finish(&[input("truth", &material, false)], &options);
     let found = entries[0].material.microfacet().unwrap();
     let numbers = |m: &Microfacet| [&m.kd[..], &m.eta, &m.alpha].concat();
@@ -123,7 +126,10 @@ impl Brdf for Holed {
 
 #[test]
 fn nothing_is_fitted_to_holes() {
-    let ggx = Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(0, 1) };
+    let ggx = Options {
+        model: Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS }),
+        schedule: Schedule::standard(0, 1),
+    };
     let factors =
         FactorOptions { variant: Variant::GFromD, interpolation: Interpolation::default(), seed: 0 };
     let inputs = [input("holed", &Holed, true)];
@@ -335,7 +341,7 @@ fn every_model_is_fitted_to_448_scattered_samples() {
     let [light, view, f] = goniometer(&TARGETS[1]);
     let neural = NeuralOptions { net: NET, latent: 4, loss: DEFAULT_LOSS };
     for (model, tolerance) in [
-        (Model::Ggx(DEFAULT_ANALYTIC_LOSS), 0.05),
+        (Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS }), 0.05),
         (Model::Hybrid(HybridOptions::per_material(NET)), 0.02),
         (Model::Neural(neural), 0.02),
     ] {
@@ -380,7 +386,10 @@ fn samples_below_the_horizon_are_refused_by_name() {
     let (light, view, f) = ([Vec3::Z], [-Vec3::Z], [Vec3::ONE]);
     let truth = Truth::Samples { light: &light, view: &view, f: &f };
     let input = Input { truth, ..input("upside down", &TARGETS[1], true) };
-    let options = Options { model: Model::Ggx(DEFAULT_ANALYTIC_LOSS), schedule: Schedule::standard(1, 1) };
+    let options = Options {
+        model: Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS }),
+        schedule: Schedule::standard(1, 1),
+    };
     let message =
         fit(&[input], &options, None, &mut |_, _| ControlFlow::Continue(())).err().unwrap().to_string();
     assert!(message.contains("\"upside down\": sample 0 is below the horizon"), "{message}");

@@ -5,6 +5,7 @@
 //! the whole renderer.
 
 mod bridge;
+mod material;
 mod packet;
 mod ray_hit;
 mod sampler_packet;

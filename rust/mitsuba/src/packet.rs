@@ -17,7 +17,7 @@ use std::ffi::c_void;
 
 use glimt_core::simd::{LANES, Lane3};
 
-use crate::bridge::guarded;
+use crate::material::guarded;
 use crate::ray_hit::{RayHit, address_of_width};
 
 /// Bits of the mask.
@@ -68,7 +68,7 @@ unsafe extern "C" fn eval_packet<const N: usize>(
 /// The material of a lane that is active.
 fn material_of<const N: usize>(packet: &RayHit<N>, lane: usize) -> &glimt_core::Material {
     // SAFETY: the lane is active.
-    unsafe { packet.material(lane) }.core()
+    &unsafe { packet.material(lane) }.material
 }
 
 /// Twice N pairs in a row, the first of all lanes and then the second.
@@ -187,7 +187,7 @@ mod tests {
     use glimt_core::{Brdf, Library, Vec3};
 
     use super::*;
-    use crate::bridge::{Material, open};
+    use crate::material::{Material, open};
 
     fn direction(i: usize) -> [f32; 3] {
         let (z, phi) = ((i as f32 * 0.754_877_7).fract(), i as f32 * 2.4);
@@ -214,7 +214,7 @@ mod tests {
         // SAFETY: arrays of N, and the addresses in the active lanes are those of materials.
         unsafe { eval_packet::<N>(valid.as_ptr(), std::ptr::null(), std::ptr::null(), &raw mut packet) };
         for lane in (0..N).filter(|&lane| valid[lane] != 0) {
-            let material = materials[lane % 3 % 2].core();
+            let material = &materials[lane % 3 % 2].material;
             let view = Vec3::from_array(direction(lane + 80));
             let first = [0, 1, 2].map(|c| packet.hit[c][lane]);
             let second = [packet.far[lane], packet.geometry[lane], packet.instance[lane]];
@@ -278,7 +278,7 @@ mod tests {
         fn check<const N: usize>(material: &Material, pairs: &[(Vec3, Vec3)], case: &str) {
             for chunk in pairs.chunks_exact(N) {
                 let answers = ask::<N>(material, chunk);
-                let batch = stability::eval_batch(material.core(), chunk);
+                let batch = stability::eval_batch(&material.material, chunk);
                 for (lane, &(light, view)) in chunk.iter().enumerate() {
                     let expected = batch[lane].to_array();
                     for f in answers {

@@ -7,7 +7,7 @@
 
 use std::ffi::c_void;
 
-use crate::bridge::Material;
+use crate::material::Material;
 
 /// Embree's `RTCRayHitN`. What is an integer there and holds an answer is the bits of a float.
 #[repr(C)]

@@ -10,7 +10,7 @@ use std::ffi::c_void;
 
 use glimt_core::{Sample, SampleBrdf, Vec3};
 
-use crate::bridge::guarded;
+use crate::material::guarded;
 use crate::ray_hit::{RayHit, address_of_width};
 
 /// Address of the function that answers densities, for packets of `width` lanes; 0 where no such width
@@ -41,7 +41,7 @@ unsafe extern "C" fn pdf_packet<const N: usize>(
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
         // SAFETY: the lane is active.
         let material = unsafe { packet.material(lane) };
-        let pdf = || material.core().pdf(lane_of(&packet.origin, lane), lane_of(&packet.direction, lane));
+        let pdf = || material.material.pdf(lane_of(&packet.origin, lane), lane_of(&packet.direction, lane));
         packet.hit[0][lane] = guarded(0.0, pdf);
     }
 }
@@ -60,7 +60,7 @@ unsafe extern "C" fn sample_packet<const N: usize>(
         let material = unsafe { packet.material(lane) };
         let direction = || {
             material
-                .core()
+                .material
                 .sampler()
                 .sample_direction(lane_of(&packet.direction, lane), lane_of(&packet.origin, lane))
         };

@@ -36,6 +36,7 @@ fn _native(module: &Bound<PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(check::check, module)?)?;
     module.add_function(wrap_pyfunction!(write::probe, module)?)?;
     module.add_function(wrap_pyfunction!(write::write_whole, module)?)?;
-    module.add_function(wrap_pyfunction!(pickle::_restore_library, module)?)?;
+    module.add_function(wrap_pyfunction!(library::_restore_library, module)?)?;
+    module.add_function(wrap_pyfunction!(library::_restore_material, module)?)?;
     module.add_function(wrap_pyfunction!(library::load, module)?)
 }

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 
 use crate::error;
 use crate::material::{Material, parse_sampler};
-use crate::pickle::{self, SourceFile, State};
+use crate::pickle::{self, Content, SourceFile, State};
 
 /// Opens a model library, a measurement (RGL .bsdf, MERL .binary, UTIA .bin) or NBRDF weights.
 ///
@@ -87,10 +87,35 @@ impl Library {
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State<'py>)> {
-        pickle::reduce(py, self)
+        let state = pickle::state_of(py, &self.source, &self.file, self.sampler)?;
+        Ok((pickle::restoring(py, "_restore_library")?, state))
     }
 
     fn __repr__(&self) -> String {
         format!("<glimt.Library {:?}: {} {:?}>", self.source.path(), self.kind(), self.materials())
     }
+}
+
+/// The library of a [`State`].
+#[pyfunction]
+pub fn _restore_library(
+    py: Python,
+    path: PathBuf,
+    content: Content,
+    sampler: Option<&str>,
+) -> PyResult<Library> {
+    let sampler = sampler.map(parse_sampler).transpose()?;
+    let (source, file) = py.detach(|| content.source(&path))?;
+    Ok(Library { source, file, sampler })
+}
+
+/// The material of a [`State`] of a library that holds it alone.
+#[pyfunction]
+pub fn _restore_material(
+    py: Python,
+    path: PathBuf,
+    content: Content,
+    sampler: Option<&str>,
+) -> PyResult<Material> {
+    _restore_library(py, path, content, sampler)?.material(py, None)
 }

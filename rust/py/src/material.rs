@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glimt_core::library::{Entry, Origin};
 use glimt_core::sampling::{Sampler, SamplerChoice};
-use glimt_core::{Brdf, SampleBrdf, Vec3};
+use glimt_core::{Brdf, Invalid, SampleBrdf, Vec3};
 use glimt_files::Source;
 use numpy::{PyArray1, ToPyArray};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -12,9 +12,8 @@ use pyo3::prelude::*;
 
 use crate::arrays::{Directions, Triples, aligned};
 use crate::error;
-use crate::library::Library;
 use crate::parallel;
-use crate::pickle::SourceFile;
+use crate::pickle::{self, SourceFile, State};
 
 /// A material: a fitted model, or a measured table as it is. Immutable.
 #[pyclass(frozen, module = "glimt")]
@@ -128,9 +127,10 @@ impl Material {
         eta: Option<Numbers<3>>,
         alpha: Option<Numbers<2>>,
     ) -> PyResult<Material> {
-        let refused = |reason: String| error(format!("material \"{}\": {reason}", self.name));
+        let refused = |reason: Invalid| error(format!("material \"{}\": {reason}", self.name));
         let Some(mut microfacet) = self.material.microfacet().copied() else {
-            return Err(refused(format!("{} materials have no kd, eta or alpha to edit", self.kind)));
+            let reason = format!("{} materials have no kd, eta or alpha to edit", self.kind);
+            return Err(refused(reason.into()));
         };
         microfacet.kd = kd.map_or(microfacet.kd, |kd| kd.0);
         microfacet.eta = eta.map_or(microfacet.eta, |eta| eta.0);
@@ -229,17 +229,14 @@ impl Material {
         slf
     }
 
-    /// `library[name]` of a library that holds this alone.
-    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Library, &str))> {
-        let get_item = py.import("operator")?.getattr("getitem")?;
+    /// As a library that holds this alone.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, State<'py>)> {
         let material = self.material.clone();
         let entry = Entry { name: self.name.clone(), material, origin: Origin::default() };
         let alone = glimt_core::Library::new(self.file.path(), vec![entry]).map_err(error)?;
         let sampler = self.material.plan().choice();
-        Ok((
-            get_item,
-            (Library { source: Source::Library(alone), file: self.file.clone(), sampler }, &self.name),
-        ))
+        let state = pickle::state_of(py, &Source::Library(alone), &self.file, sampler)?;
+        Ok((pickle::restoring(py, "_restore_material")?, state))
     }
 
     fn __repr__(&self) -> String {

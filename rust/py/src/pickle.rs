@@ -9,14 +9,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::SystemTime;
 
+use glimt_core::sampling::SamplerChoice;
 use glimt_files::{Source, sha256};
 use pyo3::prelude::*;
 use pyo3::pybacked::PyBackedBytes;
 use pyo3::types::{PyBytes, PyString};
 
 use crate::error;
-use crate::library::Library;
-use crate::material::parse_sampler;
 
 /// The file that something was read from, as it was then.
 pub struct SourceFile {
@@ -65,21 +64,28 @@ fn state(path: &Path) -> Option<(SystemTime, u64)> {
 /// What restores a library: where it was read from, its bytes or else the digest of the file, and its sampler.
 pub type State<'py> = (PathBuf, Bound<'py, PyAny>, Option<String>);
 
-/// What pickle is told: the function that restores a library, and its arguments.
+/// The state of what `source` holds, which was read from `file`.
 ///
 /// # Errors
 /// Those of [`SourceFile::sha256`].
-pub fn reduce<'py>(py: Python<'py>, library: &Library) -> PyResult<(Bound<'py, PyAny>, State<'py>)> {
-    let held = library.source.library().ok();
+pub fn state_of<'py>(
+    py: Python<'py>,
+    source: &Source,
+    file: &SourceFile,
+    sampler: Option<SamplerChoice>,
+) -> PyResult<State<'py>> {
+    let held = source.library().ok();
     let bytes = held.map(|held| held.to_bytes()).transpose().map_err(error)?;
     let (path, content) = match bytes.flatten() {
-        Some(bytes) => (library.source.path(), PyBytes::new(py, &bytes).into_any()),
-        None => (library.file.path(), PyString::new(py, library.file.sha256()?).into_any()),
+        Some(bytes) => (source.path(), PyBytes::new(py, &bytes).into_any()),
+        None => (file.path(), PyString::new(py, file.sha256()?).into_any()),
     };
-    let sampler = library.sampler.map(|choice| choice.to_string());
-    // By its name in the module pickle finds it again.
-    let restore = py.import("glimt._native")?.getattr("_restore_library")?;
-    Ok((restore, (path.to_owned(), content, sampler)))
+    Ok((path.to_owned(), content, sampler.map(|choice| choice.to_string())))
+}
+
+/// A function of the module by its name, by which pickle finds it again.
+pub fn restoring<'py>(py: Python<'py>, function: &str) -> PyResult<Bound<'py, PyAny>> {
+    py.import("glimt._native")?.getattr(function)
 }
 
 /// The second part of a [`State`].
@@ -92,9 +98,11 @@ pub enum Content {
 }
 
 impl Content {
+    /// What was read from the file at `path`.
+    ///
     /// # Errors
     /// `glimt.Error` if the file is not the one that was pickled, and all of [`Source::open`].
-    fn source(&self, path: &Path) -> PyResult<(Source, Arc<SourceFile>)> {
+    pub fn source(&self, path: &Path) -> PyResult<(Source, Arc<SourceFile>)> {
         let file = SourceFile::new(path);
         let source = match self {
             Content::Library(bytes) => {
@@ -114,17 +122,4 @@ impl Content {
         };
         Ok((source, file))
     }
-}
-
-/// The library that [`reduce`] described.
-#[pyfunction]
-pub fn _restore_library(
-    py: Python,
-    path: PathBuf,
-    content: Content,
-    sampler: Option<&str>,
-) -> PyResult<Library> {
-    let sampler = sampler.map(parse_sampler).transpose()?;
-    let (source, file) = py.detach(|| content.source(&path))?;
-    Ok(Library { source, file, sampler })
 }

@@ -2,12 +2,14 @@
 //! be, by name. Every model and every face is run on all of it.
 
 mod materials;
+mod measurements;
 mod pairs;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
+use glimt_core::kernels::network::{Layer, Network};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::models::factor::{self, Interpolation, Variant};
@@ -16,10 +18,8 @@ use glimt_core::models::hybrid::{self, Hybrid};
 use glimt_core::models::nbrdf::{self, Nbrdf};
 use glimt_core::models::neural::{self, Neural, Shared};
 use glimt_core::sampling::SamplerChoice;
-use glimt_core::{AnyModel, Kind, Library, Material};
+use glimt_core::{AnyModel, Invalid, Kind, Library, Material};
 
-use crate::measurements;
-use crate::stability::{nudged_layer, nudged_network};
 pub use pairs::families;
 
 /// A light and a view.
@@ -172,7 +172,7 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
         eta: m.eta.map(&mut *nudge).map(|eta| eta.clamp(ETA_RANGE[0], ETA_RANGE[1])),
         alpha: m.alpha.map(&mut *nudge).map(|alpha| alpha.clamp(MIN_ALPHA, 1.0)),
     };
-    let nudged: Result<Material, String> = match material.model() {
+    let nudged: Result<Material, Invalid> = match material.model() {
         AnyModel::Ggx(m) => Ggx::new(nudged_microfacet(m.microfacet(), nudge)).map(Material::from),
         AnyModel::Hybrid(m) => {
             let network = Arc::new(nudged_network(m.network(), nudge));
@@ -192,6 +192,18 @@ pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<
         }
     };
     Some(nudged.expect("numbers stay in their ranges"))
+}
+
+/// A network with every weight and bias put through `nudge`.
+fn nudged_network(network: &Network, nudge: &mut dyn FnMut(f32) -> f32) -> Network {
+    let layers = network.layers().iter().map(|layer| nudged_layer(layer, nudge)).collect();
+    Network::new(layers, network.features(), network.activation()).expect("the shape is that of a network")
+}
+
+/// [`nudged_network`] for one layer.
+fn nudged_layer(layer: &Layer, nudge: &mut dyn FnMut(f32) -> f32) -> Layer {
+    let mut nudge = |values: &[f32]| values.iter().map(|&x| nudge(x)).collect();
+    Layer { weight: nudge(&layer.weight), bias: nudge(&layer.bias) }
 }
 
 /// Writes every material of the catalogue to `directory` as a file of its own, see [`Case::save`].

@@ -18,7 +18,7 @@ use glimt_core::models::spherical::pixelation::Pixelation;
 use glimt_core::models::spherical::store::Store;
 use glimt_core::models::spherical::tables::{self, Grids, Interpolation, Layout};
 use glimt_core::models::spherical::{Features, Spherical};
-use glimt_core::{AnyModel, Kind, Material};
+use glimt_core::{AnyModel, Invalid, Kind, Material};
 use glimt_fit::Net;
 use glimt_measured::{Measured, Merl, merl};
 use rand::{RngExt, SeedableRng};
@@ -86,11 +86,11 @@ pub fn cases(kind: Kind, nets: &[Net]) -> Vec<Result<Case>> {
 /// An ordinary plastic.
 const MICROFACET: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
 
-fn case<M: Into<Material>>(made: Result<M, String>) -> Result<Case> {
+fn case<M: Into<Material>>(made: Result<M, Invalid>) -> Result<Case> {
     made.map(|material| Case::new(material.into())).map_err(|e| anyhow!(e))
 }
 
-fn hybrid(net: Net) -> Result<Hybrid, String> {
+fn hybrid(net: Net) -> Result<Hybrid, Invalid> {
     let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
     let sizes = sizes(form.features() + HYBRID_LATENT, net, form.composition.outputs());
     let network = Arc::new(network(&sizes, form.features(), Activation::HardGelu)?);
@@ -98,7 +98,7 @@ fn hybrid(net: Net) -> Result<Hybrid, String> {
 }
 
 /// The variant and interpolation that `glimt fit` chooses.
-fn factor() -> Result<Factor, String> {
+fn factor() -> Result<Factor, Invalid> {
     let bin = |i: usize, bins: usize| (i as f32 + 0.5) / bins as f32;
     let ndf = std::array::from_fn(|i| (-20.0 * bin(i, HALF_BINS).powi(4)).exp());
     let fresnel = std::array::from_fn(|i| 0.04 + 0.96 * bin(i, DIFF_BINS).powi(5));
@@ -107,7 +107,7 @@ fn factor() -> Result<Factor, String> {
 }
 
 /// The published model of the most numbers, near those of gold-metallic-paint.
-fn analytic() -> Result<Analytic, String> {
+fn analytic() -> Result<Analytic, Invalid> {
     let specular = Specular::ShiftedGamma {
         scale: [0.2; 3],
         alpha: [0.1; 3],
@@ -126,7 +126,7 @@ fn tabulated() -> Result<Case> {
 }
 
 /// The tables that `glimt fit` chooses for isotropic materials.
-fn spherical(net: Net) -> Result<Spherical, String> {
+fn spherical(net: Net) -> Result<Spherical, Invalid> {
     let form = tables::Form {
         grids: Grids::Iso,
         pixelation: Pixelation::Healpix,
@@ -142,7 +142,7 @@ fn spherical(net: Net) -> Result<Spherical, String> {
     Spherical::new(layout, Arc::new(network), Features { store, links: None }, BOUND)
 }
 
-fn neural(net: Net) -> Result<Neural, String> {
+fn neural(net: Net) -> Result<Neural, Invalid> {
     let network = network(&sizes(FEATURES + NEURAL_LATENT, net, 3), FEATURES, Activation::HardGelu)?;
     let frames = Layer { weight: vec![0.01; FRAME_OUTPUTS * NEURAL_LATENT], bias: vec![0.1; FRAME_OUTPUTS] };
     Neural::new(Arc::new(Shared { network, frames }), vec![0.1; NEURAL_LATENT], BOUND)
@@ -157,7 +157,7 @@ fn sizes(inputs: usize, net: Net, outputs: usize) -> Vec<usize> {
 }
 
 /// A network of random weights.
-fn network(sizes: &[usize], features: usize, activation: Activation) -> Result<Network, String> {
+fn network(sizes: &[usize], features: usize, activation: Activation) -> Result<Network, Invalid> {
     let mut random = Pcg64::seed_from_u64(1);
     let layers = sizes.windows(2).map(|pair| {
         let scale = 1.5 / (pair[0] as f32).sqrt();

@@ -14,7 +14,8 @@ use glimt_core::{Brdf, is_lit};
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS, SPHERICAL_LOSS};
 use glimt_fit::train::Schedule;
 use glimt_fit::{
-    HybridOptions, Input, Model, Net, NeuralOptions, Options, Outcome, SphericalOptions, Truth, fit,
+    GgxOptions, HybridOptions, Input, Model, Net, NeuralOptions, Options, Outcome, SphericalOptions, Truth,
+    fit,
 };
 use glimt_report::{BrdfError, Protocol};
 
@@ -116,7 +117,7 @@ pub fn models() -> [(&'static str, Model); 4] {
         loss: SPHERICAL_LOSS,
     };
     [
-        ("ggx", Model::Ggx(DEFAULT_ANALYTIC_LOSS)),
+        ("ggx", Model::Ggx(GgxOptions { loss: DEFAULT_ANALYTIC_LOSS })),
         ("hybrid", Model::Hybrid(HybridOptions::shared(NET, 4))),
         ("neural", Model::Neural(neural)),
         ("spherical", Model::Spherical(spherical)),

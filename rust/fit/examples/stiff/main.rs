@@ -73,7 +73,7 @@ fn analytic_fit(brdf: &dyn glimt_core::Brdf, wide: bool) -> Vec<f32> {
     let objective = GgxObjective { loss: DEFAULT_ANALYTIC_LOSS, isotropic: true };
     let start = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.05; 2] };
     let mut numbers = analytic::from_parameters(&start, true);
-    let mut moments = Moments::new(numbers.len());
+    let mut moments = Moments::new(numbers.len(), 0);
     let pairs = draw(Drawing::Lobes, 1, 0, 256);
     let targets = evaluate(brdf, &pairs);
     let mut workspace = objective.workspace();
@@ -81,9 +81,9 @@ fn analytic_fit(brdf: &dyn glimt_core::Brdf, wide: bool) -> Vec<f32> {
         let (mut narrow_sum, mut wide_sum) = (vec![0.0_f32; numbers.len()], vec![0.0_f64; numbers.len()]);
         for block in 0..BLOCKS {
             let at = (step as usize * BLOCKS + block) % pairs.len();
-            let mut part = vec![0.0; numbers.len()];
-            objective.block(&mut workspace, &[], &numbers, &pairs[at], &targets[at], &mut [], &mut part);
-            for ((narrow, wide), part) in narrow_sum.iter_mut().zip(&mut wide_sum).zip(part) {
+            let mut part = objective.zero_gradient();
+            objective.block(&mut workspace, &[], &numbers, &pairs[at], &targets[at], &mut part);
+            for ((narrow, wide), part) in narrow_sum.iter_mut().zip(&mut wide_sum).zip(part.own) {
                 *narrow += part;
                 *wide += f64::from(part);
             }
@@ -94,7 +94,8 @@ fn analytic_fit(brdf: &dyn glimt_core::Brdf, wide: bool) -> Vec<f32> {
         clip_norm(&mut gradient, f32::INFINITY);
         let adamw = AdamW { beta2: 0.99, weight_decay: 0.0, ..AdamW::PAPER };
         let rate = cosine_decay(0.05, step - 1, STEPS);
-        adamw.update(&mut numbers, &gradient, &mut moments, step, rate, |_| false);
+        let means = moments.of(0..gradient.len());
+        adamw.update(&mut numbers, &gradient, means, step, rate, |_| false);
     }
     let p = analytic::to_parameters(&numbers);
     vec![p.kd[0], p.eta[0], p.alpha[0]]

@@ -13,7 +13,7 @@ use crate::train::State;
 /// drift from what stands for them, with all of it no row ever changes its primitive; between, it matters little.
 const PULL: f32 = 0.3;
 
-impl SphericalObjective<'_> {
+impl SphericalObjective {
     /// Makes the codebook of the features: they are turned into those in which distances matter alike (see
     /// [`turn`]), and primitives are their means. A row counts as much as the loss has shown to depend on it: by
     /// the mean square of its derivatives, which the optimiser keeps.
@@ -45,7 +45,7 @@ impl SphericalObjective<'_> {
         let (shared, own) = state.numbers.split_at_mut(self.shared_len());
         let primitives = &shared[self.shape.len()..];
         let rows =
-            own.chunks_exact_mut(self.own_len()).flat_map(|own| own[..self.rows * k].chunks_exact_mut(k));
+            own.chunks_exact_mut(self.own_len()).flat_map(|own| own[..self.rows() * k].chunks_exact_mut(k));
         for (row, owner) in rows.zip(owners) {
             row.iter_mut().zip(&primitives[owner * k..]).for_each(|(x, p)| *x += PULL * (p - *x));
         }
@@ -53,8 +53,8 @@ impl SphericalObjective<'_> {
 
     fn set_choices(&self, state: &mut State, owners: &[usize]) {
         let materials = state.numbers[self.shared_len()..].chunks_exact_mut(self.own_len());
-        for (own, owners) in materials.zip(owners.chunks_exact(self.rows)) {
-            let choices = &mut own[self.rows * self.features()..];
+        for (own, owners) in materials.zip(owners.chunks_exact(self.rows())) {
+            let choices = &mut own[self.rows() * self.features()..];
             choices.iter_mut().zip(owners).for_each(|(choice, &owner)| *choice = owner as f32);
         }
     }
@@ -62,7 +62,7 @@ impl SphericalObjective<'_> {
     /// What `numbers` has for the features of all materials, [material][row][k].
     pub(super) fn all_features(&self, numbers: &[f32]) -> Vec<f32> {
         let materials = numbers[self.shared_len()..].chunks_exact(self.own_len());
-        materials.flat_map(|own| &own[..self.rows * self.features()]).copied().collect()
+        materials.flat_map(|own| &own[..self.rows() * self.features()]).copied().collect()
     }
 }
 

@@ -1,15 +1,18 @@
-//! The spherical model as an objective: a network, and tables of features for every material.
+//! The spherical model: a network, and tables of features for every material. [`SphericalObjective`] is what is
+//! trained; `stages.rs` says how a fit starts, what changes as it goes, and how it ends.
 //!
 //! Features are fitted as they are, and towards the end as what they will be kept as: rounded to the
 //! integers of a store, or replaced by the primitives of a codebook (paper, §3.3). The derivatives then
 //! pass the rounding or the choice unchanged ("straight through").
 
-pub(crate) mod cluster;
+mod cluster;
 mod codebook;
-pub(crate) mod prune;
+mod prune;
 mod refine;
-pub(crate) mod stages;
+mod stages;
 mod turn;
+
+use std::sync::Arc;
 
 use glimt_core::dispatch;
 use glimt_core::kernels::network::Activation;
@@ -18,14 +21,18 @@ use glimt_core::models::spherical::tables::{Layout, MAX_TABLES, Taps};
 use glimt_core::models::spherical::{MAX_BOUND, OUTPUT_SCALE, from_output};
 use glimt_core::simd::math::exp;
 use glimt_core::simd::{LANES, Vector};
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward};
 use crate::ggx::loss_rows;
+use crate::gradient::Gradient;
 use crate::loss::Loss;
+use crate::net::{random_layers, symmetric};
 use crate::objective::Objective;
 use crate::pairs::{PairBlock, TargetBlock, lanes};
+
+pub use stages::{SPHERICAL_LOSS, SphericalOptions};
 
 /// What stands for a row's features in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,13 +54,14 @@ pub enum Stage {
 /// Shared numbers are the network's, then the scales of [`StoreKind::I8`] and [`StoreKind::I4`], [table][k], or
 /// the codebook, [2ᵇ][k]. A material's own are its features, [row][k], and with a codebook the primitive
 /// of each row, [row], as a whole number. Scales and choices have no derivatives, and so stay as they are
-/// while the others move. Where there are fewer rows than `rows`, the last numbers stand for nothing.
+/// while the others move. There is room for the rows of the finest tables; while there are fewer, the last numbers
+/// stand for nothing.
 #[derive(Clone, Debug)]
-pub struct SphericalObjective<'a> {
-    /// The tables.
-    pub layout: &'a Layout,
-    /// Rows of the finest tables that the fit will have, for which there is room.
-    pub rows: usize,
+pub struct SphericalObjective {
+    /// The tables that the fit will have, from coarse to fine.
+    pub layouts: Vec<Arc<Layout>>,
+    /// Which of them it has.
+    pub level: usize,
     /// Sizes of the network.
     pub shape: Shape,
     /// What is minimised.
@@ -82,7 +90,7 @@ struct Parts<Slice> {
     choices: Slice,
 }
 
-impl Objective for SphericalObjective<'_> {
+impl Objective for SphericalObjective {
     type Workspace = Box<SphericalWorkspace>;
 
     fn shared_len(&self) -> usize {
@@ -90,7 +98,7 @@ impl Objective for SphericalObjective<'_> {
     }
 
     fn own_len(&self) -> usize {
-        self.rows * (self.features() + usize::from(self.codebook_len() > 0))
+        self.rows() * (self.features() + usize::from(self.codebook_len() > 0))
     }
 
     fn workspace(&self) -> Box<SphericalWorkspace> {
@@ -109,8 +117,7 @@ impl Objective for SphericalObjective<'_> {
         own: &[f32],
         pairs: &PairBlock,
         target: &TargetBlock,
-        shared_gradient: &mut [f32],
-        own_gradient: &mut [f32],
+        gradient: &mut Gradient,
     ) -> f64 {
         let parts = self.parts(shared, own);
         self.predict(workspace, &parts, pairs);
@@ -120,10 +127,10 @@ impl Objective for SphericalObjective<'_> {
         let (outputs, delta) = workspace.network.outputs_and_delta();
         differentiate(target, outputs, &workspace.slopes, delta);
         push_zeros(self.loss.relative, pairs, target, outputs, delta);
-        let (network_gradient, rest) = shared_gradient.split_at_mut(self.shape.len());
+        let (network_gradient, rest) = gradient.shared.split_at_mut(self.shape.len());
         backward(&self.shape, parts.network, &mut workspace.network, network_gradient);
         let codebook_gradient = &mut rest[self.scales_len()..];
-        let features_gradient = &mut own_gradient[..parts.features.len()];
+        let features_gradient = &mut gradient.own[..parts.features.len()];
         let delta = workspace.network.input_delta();
         scatter(self, &workspace.taps, &parts, delta, features_gradient, codebook_gradient);
         total.iter().map(|&x| f64::from(x)).sum()
@@ -134,13 +141,28 @@ impl Objective for SphericalObjective<'_> {
     }
 }
 
-impl SphericalObjective<'_> {
+impl SphericalObjective {
+    /// The tables as they are.
+    fn layout(&self) -> &Arc<Layout> {
+        &self.layouts[self.level]
+    }
+
+    /// The tables as they will be.
+    fn finest(&self) -> &Arc<Layout> {
+        self.layouts.last().expect("a fit has tables")
+    }
+
+    /// Rows of the finest tables.
+    fn rows(&self) -> usize {
+        self.finest().places().len()
+    }
+
     fn features(&self) -> usize {
-        self.layout.form().features.into()
+        self.layout().form().features.into()
     }
 
     fn scales_len(&self) -> usize {
-        if self.store.largest().is_some() { self.layout.form().inputs() } else { 0 }
+        if self.store.largest().is_some() { self.layout().form().inputs() } else { 0 }
     }
 
     fn codebook_len(&self) -> usize {
@@ -154,13 +176,13 @@ impl SphericalObjective<'_> {
     fn parts<'n>(&self, shared: &'n [f32], own: &'n [f32]) -> Parts<&'n [f32]> {
         let (network, rest) = shared.split_at(self.shape.len());
         let (scales, codebook) = rest.split_at(self.scales_len());
-        let (features, choices) = own.split_at(self.rows * self.features());
+        let (features, choices) = own.split_at(self.rows() * self.features());
         Parts { network, scales, codebook, features, choices }
     }
 
     /// Evaluates network and f for a block.
     fn predict(&self, workspace: &mut SphericalWorkspace, parts: &Parts<&[f32]>, pairs: &PairBlock) {
-        find(self.layout, pairs, &mut workspace.taps);
+        find(self.layout(), pairs, &mut workspace.taps);
         let inputs = &mut workspace.network.values[0];
         gather(self, &workspace.taps, parts, inputs);
         forward(&self.shape, parts.network, &mut workspace.network);
@@ -179,21 +201,14 @@ impl SphericalObjective<'_> {
         largest.min(MAX_BOUND)
     }
 
-    /// First numbers of the network and of `materials`: weights uniform in ±1/√inputs (PyTorch's default),
-    /// and features that change slowly from row to row. Random features would leave the network
+    /// First numbers of the network and of `materials`: random layers, and features that change slowly from row to row. Random features would leave the network
     /// nothing to go by: a fit from them ends three times worse.
     #[must_use]
     pub fn initial(&self, seed: u64, materials: usize) -> Vec<f32> {
         // y of a dull grey.
         const FIRST_OUTPUT: f32 = 3.0;
         let mut rng = Pcg64::seed_from_u64(seed);
-        let mut symmetric = || 2.0 * rng.random::<f32>() - 1.0;
-        let mut numbers = Vec::new();
-        for layer in 0..self.shape.layers() {
-            let (inputs, outputs) = self.shape.layer(layer);
-            let bound = 1.0 / (inputs as f32).sqrt();
-            numbers.extend((0..(inputs + 1) * outputs).map(|_| bound * symmetric()));
-        }
+        let mut numbers = random_layers(&self.shape, &mut rng);
         let (_, bias) = self.shape.split_mut(&mut numbers, self.shape.layers() - 1);
         bias.iter_mut().for_each(|bias| *bias += FIRST_OUTPUT);
         numbers.resize(self.shared_len(), 0.0);
@@ -201,8 +216,8 @@ impl SphericalObjective<'_> {
             let own = numbers.len() + self.own_len();
             // A plane over each table for each feature.
             let planes: Vec<[f32; 4]> =
-                (0..self.shape.inputs()).map(|_| std::array::from_fn(|_| symmetric())).collect();
-            for &(table, place) in self.layout.places() {
+                (0..self.shape.inputs()).map(|_| std::array::from_fn(|_| symmetric(&mut rng))).collect();
+            for &(table, place) in self.layout().places() {
                 let place = place.as_vec3();
                 let planes = &planes[table * self.features()..][..self.features()];
                 numbers.extend(
@@ -251,10 +266,10 @@ fn gather_rows<const K: usize>(
     parts: &Parts<&[f32]>,
     inputs: &mut [Row],
 ) {
-    let rows = objective.layout.rows();
+    let rows = objective.layout().rows();
     let (features, _) = parts.features.as_chunks::<K>();
     for (table, inputs) in inputs.chunks_exact_mut(K).enumerate() {
-        let count = objective.layout.tap_count(table);
+        let count = objective.layout().tap_count(table);
         for (column, taps) in taps.iter().enumerate() {
             let taps = &taps[table];
             for lane in 0..LANES {
@@ -311,11 +326,11 @@ fn scatter_rows<const K: usize>(
     features_gradient: &mut [f32],
     codebook_gradient: &mut [f32],
 ) {
-    let rows = objective.layout.rows();
+    let rows = objective.layout().rows();
     let (features_gradient, _) = features_gradient.as_chunks_mut::<K>();
     let (codebook_gradient, _) = codebook_gradient.as_chunks_mut::<K>();
     for (table, delta) in delta.chunks_exact(K).enumerate() {
-        let count = objective.layout.tap_count(table);
+        let count = objective.layout().tap_count(table);
         for (column, taps) in taps.iter().enumerate() {
             let taps = &taps[table];
             for lane in 0..LANES {

@@ -7,6 +7,7 @@
 
 use std::sync::Arc;
 
+use glimt_core::Invalid;
 use glimt_core::directions::healpix::Healpix;
 use glimt_core::models::spherical::tables::{Form, Layout};
 
@@ -21,7 +22,7 @@ const COARSEST: u16 = 4;
 ///
 /// # Errors
 /// As [`Form::validate`].
-pub(super) fn layouts(form: Form) -> Result<Vec<Arc<Layout>>, String> {
+pub(super) fn layouts(form: Form) -> Result<Vec<Arc<Layout>>, Invalid> {
     let mut nsides = vec![form.nside];
     while let Ok(half) = Healpix::try_from(nsides[0].nside() / 2)
         && half.nside() >= COARSEST
@@ -31,13 +32,13 @@ pub(super) fn layouts(form: Form) -> Result<Vec<Arc<Layout>>, String> {
     nsides.into_iter().map(|nside| Layout::new(Form { nside, ..form }).map(Arc::new)).collect()
 }
 
-impl SphericalObjective<'_> {
+impl SphericalObjective {
     /// Goes on with `finer` tables.
     pub(super) fn refine(&self, finer: &Layout, state: &mut State) {
         let (k, shared, own) = (self.features(), self.shared_len(), self.own_len());
         state.moments.first[shared..].fill(0.0);
         for numbers in [&mut state.numbers, &mut state.moments.second] {
-            numbers[shared..].chunks_exact_mut(own).for_each(|own| refine(self.layout, finer, k, own));
+            numbers[shared..].chunks_exact_mut(own).for_each(|own| refine(self.layout(), finer, k, own));
         }
     }
 }

@@ -1,6 +1,8 @@
 use super::*;
-use crate::fit::{Input, Outcome, fit};
-use crate::options::{Model, Net, Options, SPHERICAL_LOSS, SphericalOptions};
+use crate::fit::{Outcome, fit};
+use crate::input::Input;
+use crate::net::Net;
+use crate::options::{Model, Options};
 use crate::pairs::{self, Drawing};
 use crate::train::{Schedule, State};
 use crate::truth::Truth;
@@ -40,11 +42,12 @@ fn gradient_is_the_finite_difference_for_network_features_and_primitives() {
         for (store, stage) in [(StoreKind::F32, Stage::Free), (StoreKind::Codebook(3), Stage::Chosen)] {
             let layout = Layout::new(form(grids)).unwrap();
             let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
-            let rows = layout.places().len();
-            let objective = SphericalObjective { layout: &layout, rows, shape, loss: squared, store, stage };
+            let features_len = layout.places().len() * 4;
+            let layouts = vec![Arc::new(layout)];
+            let objective = SphericalObjective { layouts, level: 0, shape, loss: squared, store, stage };
             let mut state = State::new(objective.initial(5, 1));
             let (network, shared) = (objective.shape.len(), objective.shared_len());
-            let features = shared..shared + layout.places().len() * 4;
+            let features = shared..shared + features_len;
             if stage == Stage::Chosen {
                 objective.make_codebook(&mut state, 1);
             }
@@ -54,10 +57,9 @@ fn gradient_is_the_finite_difference_for_network_features_and_primitives() {
             let mut workspace = objective.workspace();
             let mut evaluate = |numbers: &[f32]| {
                 let (own_shared, own) = numbers.split_at(shared);
-                let mut gradient = vec![0.0; numbers.len()];
-                let (by_shared, by_own) = gradient.split_at_mut(shared);
-                let loss = objective.block(&mut workspace, own_shared, own, pairs, target, by_shared, by_own);
-                (loss, gradient)
+                let mut gradient = objective.zero_gradient();
+                let loss = objective.block(&mut workspace, own_shared, own, pairs, target, &mut gradient);
+                (loss, [gradient.shared, gradient.own].concat())
             };
             let (_, gradient) = evaluate(&numbers);
             let kinds: Vec<(&str, std::ops::Range<usize>, usize)> = match stage {
@@ -100,18 +102,14 @@ fn features_turn_into_primitives_without_a_change_of_the_model() {
         let layout = Layout::new(form(grids)).unwrap();
         let rows = layout.places().len();
         let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
-        let store = StoreKind::Codebook(8);
-        let mut objective =
-            SphericalObjective { layout: &layout, rows, shape, loss, store, stage: Stage::Free };
+        let (store, layouts) = (StoreKind::Codebook(8), vec![Arc::new(layout)]);
+        let mut objective = SphericalObjective { layouts, level: 0, shape, loss, store, stage: Stage::Free };
         let mut state = State::new(objective.initial(5, 2));
         let values = |objective: &SphericalObjective, state: &State| -> Vec<f64> {
             let (shared, own) = state.numbers.split_at(objective.shared_len());
-            let (mut by_shared, mut by_own) = (vec![0.0; shared.len()], vec![0.0; objective.own_len()]);
-            let workspace = &mut objective.workspace();
+            let (workspace, mut gradient) = (&mut objective.workspace(), objective.zero_gradient());
             own.chunks_exact(objective.own_len())
-                .map(|own| {
-                    objective.block(workspace, shared, own, pairs, target, &mut by_shared, &mut by_own)
-                })
+                .map(|own| objective.block(workspace, shared, own, pairs, target, &mut gradient))
                 .collect()
         };
         let before = values(&objective, &state);
@@ -135,18 +133,17 @@ fn derivatives_pass_the_choice_of_primitives() {
     let rows = layout.places().len();
     let shape = Shape::new(layout.form().inputs(), &[16, 16], 3, SphericalObjective::ACTIVATION);
     let (loss, store, stage) = (SPHERICAL_LOSS, StoreKind::Codebook(3), Stage::Choosing);
-    let mut objective = SphericalObjective { layout: &layout, rows, shape, loss, store, stage };
+    let layouts = vec![Arc::new(layout)];
+    let mut objective = SphericalObjective { layouts, level: 0, shape, loss, store, stage };
     let mut state = State::new(objective.initial(5, 1));
     objective.make_codebook(&mut state, 1);
     let pairs = &pairs::draw(Drawing::Lobes, 3, 1, 1)[0];
     let target = &pairs::evaluate(&target, std::slice::from_ref(pairs))[0];
     let derivatives = |objective: &SphericalObjective, numbers: &[f32]| {
-        let shared = objective.shared_len();
-        let mut gradient = vec![0.0; numbers.len()];
-        let (by_shared, by_own) = gradient.split_at_mut(shared);
-        let (of_shared, own) = numbers.split_at(shared);
-        objective.block(&mut objective.workspace(), of_shared, own, pairs, target, by_shared, by_own);
-        gradient
+        let mut gradient = objective.zero_gradient();
+        let (shared, own) = numbers.split_at(objective.shared_len());
+        objective.block(&mut objective.workspace(), shared, own, pairs, target, &mut gradient);
+        [gradient.shared, gradient.own].concat()
     };
     let chosen = derivatives(&objective, &state.numbers);
     let (features, primitives) = (

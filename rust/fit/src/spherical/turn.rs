@@ -18,7 +18,7 @@ use crate::train::State;
 /// independent; the means are forgotten.
 pub(super) fn turn(objective: &SphericalObjective, state: &mut State) {
     let k = objective.features();
-    let (shape, layout) = (&objective.shape, objective.layout);
+    let (shape, layout) = (&objective.shape, objective.layout());
     let (shared, own) = (objective.shared_len(), objective.own_len());
     let inputs = shape.inputs();
     state.moments.first.fill(0.0);
@@ -26,7 +26,7 @@ pub(super) fn turn(objective: &SphericalObjective, state: &mut State) {
         (objective.all_features(&state.numbers), objective.all_features(&state.moments.second));
     let weights = row_weights(&squares, k);
     for table in 0..layout.form().grids.tables() {
-        let rows = (0..weights.len()).filter(|row| layout.places()[row % objective.rows].0 == table);
+        let rows = (0..weights.len()).filter(|row| layout.places()[row % objective.rows()].0 == table);
         let rows: Vec<(DVector<f64>, f64)> =
             rows.map(|row| (wide(&features[row * k..][..k]), f64::from(weights[row]))).collect();
         let (network, _) = state.numbers.split_at_mut(shape.len());

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::analytic;
 use crate::backprop::{COLUMNS, Row, Shape, Workspace, ZERO_ROW, backward, forward, sum_row};
 use crate::ggx::{AnalyticRows, column_of, evaluate, loss_rows};
+use crate::gradient::Gradient;
 use crate::loss::Loss;
 use crate::objective::Objective;
 use crate::pairs::{PairBlock, TargetBlock};
@@ -91,8 +92,7 @@ impl Objective for HybridObjective {
         own: &[f32],
         pairs: &PairBlock,
         target: &TargetBlock,
-        shared_gradient: &mut [f32],
-        own_gradient: &mut [f32],
+        gradient: &mut Gradient,
     ) -> f64 {
         let workspace = &mut **workspace;
         let Numbers { network, p, z } = self.split(shared, own);
@@ -110,8 +110,8 @@ impl Objective for HybridObjective {
         loss_rows(self.loss, pairs, target, &workspace.model, &mut workspace.slopes, &mut total);
         differentiate(self, workspace);
         let (network_gradient, own_gradient) = match self.sharing {
-            Sharing::Library => (shared_gradient, own_gradient),
-            Sharing::Material => own_gradient.split_at_mut(network.len()),
+            Sharing::Library => (&mut gradient.shared[..], &mut gradient.own[..]),
+            Sharing::Material => gradient.own.split_at_mut(network.len()),
         };
         backward(&self.shape, network, &mut workspace.network, network_gradient);
 
@@ -385,18 +385,9 @@ mod tests {
                 let mut workspace = objective.workspace();
                 let mut evaluate = |numbers: &[f32]| {
                     let (shared, own) = numbers.split_at(objective.shared_len());
-                    let mut gradient = vec![0.0; numbers.len()];
-                    let (shared_gradient, own_gradient) = gradient.split_at_mut(shared.len());
-                    let loss = objective.block(
-                        &mut workspace,
-                        shared,
-                        own,
-                        pairs,
-                        target,
-                        shared_gradient,
-                        own_gradient,
-                    );
-                    (loss, gradient)
+                    let mut gradient = objective.zero_gradient();
+                    let loss = objective.block(&mut workspace, shared, own, pairs, target, &mut gradient);
+                    (loss, [gradient.shared, gradient.own].concat())
                 };
                 let (_, gradient) = evaluate(&numbers);
                 let largest = gradient.iter().fold(0.0f32, |a, g| a.max(g.abs()));
@@ -448,11 +439,10 @@ mod tests {
         let p = analytic::from_parameters(&start, true);
         let own = [p.clone(), vec![0.1; 4]].concat();
         let network = pattern(shape.len(), 0.5);
-        let (mut a, mut b) = (vec![0.0; 11], vec![0.0; 7]);
-        let mut shared = vec![0.0; shape.len()];
-        hybrid.block(&mut hybrid.workspace(), &network, &own, pairs, target, &mut shared, &mut a);
-        ggx.block(&mut ggx.workspace(), &[], &p, pairs, target, &mut [], &mut b);
-        assert_eq!(a[..7], b[..]);
-        assert!(shared.iter().any(|&g| g != 0.0) && a[7..].iter().all(|&g| g != 0.0));
+        let (mut a, mut b) = (hybrid.zero_gradient(), ggx.zero_gradient());
+        hybrid.block(&mut hybrid.workspace(), &network, &own, pairs, target, &mut a);
+        ggx.block(&mut ggx.workspace(), &[], &p, pairs, target, &mut b);
+        assert_eq!(a.own[..7], b.own[..]);
+        assert!(a.shared.iter().any(|&g| g != 0.0) && a.own[7..].iter().all(|&g| g != 0.0));
     }
 }

@@ -8,7 +8,7 @@ use glimt_core::Brdf;
 use glimt_measured::utia::Encoding;
 use glimt_measured::{Colours, Measured, Merl, Rgl, Utia, merl, rgl_bytes, utia};
 
-use crate::extremes::{Case, MeasuredFile};
+use super::{Case, MeasuredFile};
 
 /// A mirror's lobe on a dark base: from one bin to the next it falls by orders of magnitude.
 struct Steep;
@@ -35,11 +35,11 @@ impl Brdf for Wild {
 
 /// Every layout of an RGL file in the fewest knots; one has values near the end of float32.
 const RGL_CORPUS: [(&str, &[u8]); 5] = [
-    ("isotropic", include_bytes!("../../../fuzz/corpus/rgl/isotropic.bsdf")),
-    ("anisotropic", include_bytes!("../../../fuzz/corpus/rgl/anisotropic.bsdf")),
-    ("half a turn", include_bytes!("../../../fuzz/corpus/rgl/halfturn.bsdf")),
-    ("spectral", include_bytes!("../../../fuzz/corpus/rgl/spectral.bsdf")),
-    ("huge values", include_bytes!("../../../fuzz/corpus/rgl/huge_values.bsdf")),
+    ("isotropic", include_bytes!("../../../../fuzz/corpus/rgl/isotropic.bsdf")),
+    ("anisotropic", include_bytes!("../../../../fuzz/corpus/rgl/anisotropic.bsdf")),
+    ("half a turn", include_bytes!("../../../../fuzz/corpus/rgl/halfturn.bsdf")),
+    ("spectral", include_bytes!("../../../../fuzz/corpus/rgl/spectral.bsdf")),
+    ("huge values", include_bytes!("../../../../fuzz/corpus/rgl/huge_values.bsdf")),
 ];
 
 /// Measurements of every format, sampled as they come, and some by the other samplers.
