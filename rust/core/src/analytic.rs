@@ -6,7 +6,7 @@
 //!
 //! The parameters that are published for the MERL database follow no single normalisation. Which one
 //! belongs to a model here was decided by the fits themselves: with the factors below, their specular parts are
-//! as bright as their materials (`docs/factor.md`).
+//! as bright as their materials (`docs/guide/models.md`).
 
 use std::f64::consts::PI;
 
