@@ -632,7 +632,7 @@ private:
     Vector2f m_alpha;
     bool m_isotropic = true;
     FloatStorage m_latent;
-    /// What an edit leaves of the network's correction, see rust/core/src/edit.rs.
+    /// What an edit leaves of the network's correction, see rust/core/src/models/edit.rs.
     FloatStorage m_room;
 
     /// The parameters of \c m_material, to return to when an update is refused.

@@ -17,7 +17,7 @@ namespace dr = drjit;
 /**
  * \brief A whole model as Dr.Jit traces it, for derivatives and for GPUs
  *
- * The counterpart of rust/core/src/hybrid.rs and its neighbours, with the parameters of a material
+ * The counterpart of rust/core/src/models/hybrid.rs and its neighbours, with the parameters of a material
  * as variables that can carry gradients.
  */
 template <typename Float> class TracedModel {
@@ -146,7 +146,7 @@ private:
 
     /// The scale of ln f_a as a network input, see `Form::analytic_feature` in rust/core.
     static constexpr float AnalyticFloor = 1e-4f, AnalyticScale = .2f;
-    /// The limit of the exponent, see rust/core/src/nbrdf.rs.
+    /// The limit of the exponent, see rust/core/src/models/nbrdf.rs.
     static constexpr float NbrdfMaxOutput = 20.7f;
 
     core::Model m_model;

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
-use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{AnyModel, Brdf};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source, sha256};

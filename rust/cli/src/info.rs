@@ -4,11 +4,11 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use glimt_core::hybrid::Form;
+use glimt_core::kernels::network::Network;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::network::Network;
-use glimt_core::sampler::Sampler;
-use glimt_core::tabulated::Table;
+use glimt_core::models::hybrid::Form;
+use glimt_core::models::tabulated::Table;
+use glimt_core::sampling::Sampler;
 use glimt_core::{AnyModel, Library, Material, Oddity, Vec3};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source};

@@ -2,11 +2,11 @@
 
 use clap::ValueEnum;
 use glimt_core::AnyModel;
-use glimt_core::healpix::Healpix;
+use glimt_core::directions::healpix::Healpix;
 use glimt_core::library::Entry;
-use glimt_core::spherical::pixelation::Pixelation;
-use glimt_core::spherical::store::StoreKind;
-use glimt_core::spherical::tables::{Form, Grids, Interpolation};
+use glimt_core::models::spherical::pixelation::Pixelation;
+use glimt_core::models::spherical::store::StoreKind;
+use glimt_core::models::spherical::tables::{Form, Grids, Interpolation};
 use glimt_fit::options::SPHERICAL_LOSS;
 use glimt_fit::{Input, Net, SphericalOptions, Truth};
 

@@ -11,23 +11,23 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, SampleBrdf};
+use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
-use crate::model::Model;
-use crate::network::Network;
+use crate::models::Model;
 use crate::oddity::Oddity;
-use crate::sampler::{Plan, Sampler, SamplerChoice};
+use crate::sampling::{Plan, Sampler, SamplerChoice};
 use crate::simd::Lane3;
 
 /// Makes what goes over all models from the list of their modules and types. `$d` is a dollar sign, for the
 /// macros that are made.
 macro_rules! models {
     ($d:tt $($module:ident::$model:ident,)+) => {
-        $(use crate::$module::$model;)+
+        $(use crate::models::$module::$model;)+
 
         /// Which model a material is of.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum Kind {$(
-            #[doc = concat!("See [`crate::", stringify!($module), "`].")]
+            #[doc = concat!("See [`crate::models::", stringify!($module), "`].")]
             $model,
         )+}
 
@@ -45,7 +45,7 @@ macro_rules! models {
         /// Any model.
         #[derive(Clone, Debug)]
         pub enum AnyModel {$(
-            #[doc = concat!("See [`crate::", stringify!($module), "`].")]
+            #[doc = concat!("See [`crate::models::", stringify!($module), "`].")]
             $model($model),
         )+}
 
@@ -93,7 +93,7 @@ macro_rules! models {
             ($d kind:expr, $d Type:ident => $d body:expr) => {
                 match $d kind {$(
                     $crate::material::Kind::$model => {
-                        type $d Type = $crate::$module::$model;
+                        type $d Type = $crate::models::$module::$model;
                         $d body
                     }
                 )+}
@@ -179,7 +179,10 @@ impl Material {
     /// The sampler, which the first call makes.
     #[must_use]
     pub fn sampler(&self) -> &Sampler {
-        self.sampler.get_or_init(|| with_model!(&self.model, model => self.plan.make(model)))
+        let alpha = self.microfacet().map(|microfacet| microfacet.alpha);
+        let make =
+            || with_model!(&self.model, model => self.plan.make(model, Model::is_isotropic(model), alpha));
+        self.sampler.get_or_init(make)
     }
 
     /// What the sampler is or will be.

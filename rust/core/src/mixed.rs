@@ -9,9 +9,9 @@ use std::sync::Arc;
 
 use crate::brdf::{Brdf, lit};
 use crate::dispatch;
-use crate::hybrid::{Hybrid, MAX_INPUTS};
+use crate::kernels::network::{MAX_WIDTH, Rows};
 use crate::material::{AnyModel, Material};
-use crate::network::{MAX_WIDTH, Rows};
+use crate::models::hybrid::{Hybrid, MAX_INPUTS};
 use crate::simd::{LANES, Lane3, Lanes, Real, Vector};
 
 /// Whether lanes of `a` and lanes of `b` can be in one tile.
@@ -90,7 +90,7 @@ fn eval_part<I: Lanes<L>, const L: usize>(
     let mut y = Rows::default();
     network.forward_tile(isa, &lanes.first_bias[..], &lanes.x, &mut y);
     let (bound, zero) = (Vector::load(isa, &lanes.bound), Vector::new(isa, 0.0));
-    let is_edited = zero.less(Vector::load(isa, &lanes.is_edited));
+    let is_edited = zero.lt(Vector::load(isa, &lanes.is_edited));
     let has_edits = Vector::<I, L>::any(isa, is_edited);
     // A composition of three outputs has no b.
     let second = y.len() - 3;
@@ -103,9 +103,9 @@ fn eval_part<I: Lanes<L>, const L: usize>(
             let (edited, room) = (Vector::load(isa, &lanes.edited[c]), Vector::load(isa, &lanes.room));
             let whole =
                 form.composition.compose_edited(bound.min(a), b, analytic, edited, room, f32::INFINITY);
-            f = whole.or_else(is_edited, f);
+            f = Real::select(is_edited, whole, f);
         }
-        f.or_else(lit, zero).store(&mut out[c]);
+        Real::select(lit, f, zero).store(&mut out[c]);
     }
     out
 }
@@ -152,30 +152,32 @@ impl<const L: usize> BeforeNetwork<L> {
         for lane in 0..L {
             is_own[lane] = if std::ptr::eq(materials[lane], own) { 1.0 } else { 0.0 };
         }
-        let mask = Vector::new(isa, 0.0).less(Vector::load(isa, &is_own));
+        let mask = Vector::new(isa, 0.0).lt(Vector::load(isa, &is_own));
         let mut x = [[0.0; L]; MAX_INPUTS];
         let [asked_light, asked_view] = own.asked(light, view);
         let fitted = own.fitted_microfacet();
         let analytic = own.form().inputs_and_analytic(fitted, asked_light, asked_view, &mut x);
         for i in 0..own.form().features() {
-            Vector::load(isa, &x[i]).or_else(mask, Vector::load(isa, &self.x[i])).store(&mut self.x[i]);
+            Real::select(mask, Vector::load(isa, &x[i]), Vector::load(isa, &self.x[i])).store(&mut self.x[i]);
         }
         for c in 0..3 {
-            analytic[c].or_else(mask, Vector::load(isa, &self.analytic[c])).store(&mut self.analytic[c]);
+            Real::select(mask, analytic[c], Vector::load(isa, &self.analytic[c]))
+                .store(&mut self.analytic[c]);
         }
         for (lanes, &bias) in self.first_bias.iter_mut().zip(own.first_bias.as_flattened()) {
-            Vector::new(isa, bias).or_else(mask, Vector::load(isa, lanes)).store(lanes);
+            Real::select(mask, Vector::new(isa, bias), Vector::load(isa, lanes)).store(lanes);
         }
-        Vector::new(isa, own.bound()).or_else(mask, Vector::load(isa, &self.bound)).store(&mut self.bound);
+        Real::select(mask, Vector::new(isa, own.bound()), Vector::load(isa, &self.bound))
+            .store(&mut self.bound);
         if let Some(edit) = own.edit() {
             let edited = own.microfacet.eval(light, view);
             for c in 0..3 {
-                edited[c].or_else(mask, Vector::load(isa, &self.edited[c])).store(&mut self.edited[c]);
+                Real::select(mask, edited[c], Vector::load(isa, &self.edited[c])).store(&mut self.edited[c]);
             }
             let room = edit.room.share(light, view);
-            room.or_else(mask, Vector::load(isa, &self.room)).store(&mut self.room);
+            Real::select(mask, room, Vector::load(isa, &self.room)).store(&mut self.room);
             let yes = Vector::new(isa, 1.0);
-            yes.or_else(mask, Vector::load(isa, &self.is_edited)).store(&mut self.is_edited);
+            Real::select(mask, yes, Vector::load(isa, &self.is_edited)).store(&mut self.is_edited);
         }
     }
 }
@@ -183,12 +185,12 @@ impl<const L: usize> BeforeNetwork<L> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::Inputs;
-    use crate::ggx::Ggx;
-    use crate::hybrid::{Composition, Form};
+    use crate::directions::features::Inputs;
+    use crate::kernels::network::{Activation, tests::patterned};
     use crate::microfacet::Microfacet;
-    use crate::model::Model;
-    use crate::network::{Activation, tests::patterned};
+    use crate::models::Model;
+    use crate::models::ggx::Ggx;
+    use crate::models::hybrid::{Composition, Form};
 
     fn hybrids(form: Form) -> Vec<Material> {
         let sizes = [form.features() + 4, 32, 32, 32, form.composition.outputs()];

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::SystemTime;
 
-use glimt_core::edit::Room;
 use glimt_core::library::{Entry, mix_name};
-use glimt_core::sampler::{Plan, SamplerChoice};
+use glimt_core::models::edit::Room;
+use glimt_core::sampling::{Plan, SamplerChoice};
 use glimt_core::{
     AnyModel, Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network,
 };

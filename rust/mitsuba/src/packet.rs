@@ -212,11 +212,11 @@ mod tests {
     use std::sync::Arc;
 
     use glimt_check::{extremes, stability};
-    use glimt_core::features::Inputs;
-    use glimt_core::hybrid::{Form, Hybrid};
+    use glimt_core::directions::features::Inputs;
+    use glimt_core::kernels::network::{Activation, Layer, Network};
     use glimt_core::library::{Entry, Origin};
     use glimt_core::microfacet::Microfacet;
-    use glimt_core::network::{Activation, Layer, Network};
+    use glimt_core::models::hybrid::{Form, Hybrid};
     use glimt_core::{Brdf, Library, Vec3};
 
     use super::*;

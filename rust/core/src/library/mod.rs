@@ -31,8 +31,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::Error;
+use crate::kernels::network::{Activation, Network};
 use crate::material::{Kind, Material, with_kind, with_model};
-use crate::network::{Activation, Network};
 
 use codec::Codec;
 use container::{Tensor, Tensors};
@@ -429,18 +429,18 @@ fn names_of_stored_kinds() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analytic::{Analytic, Parameters, tests::specimens};
     use crate::brdf::Brdf;
-    use crate::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
-    use crate::features::Inputs;
-    use crate::ggx::Ggx;
-    use crate::hybrid::{Form, Hybrid};
+    use crate::directions::features::Inputs;
+    use crate::kernels::network::Layer;
+    use crate::kernels::network::tests::{patterned, patterned_from};
     use crate::microfacet::Microfacet;
-    use crate::nbrdf::Nbrdf;
-    use crate::network::Layer;
-    use crate::network::tests::{patterned, patterned_from};
-    use crate::neural::{self, Neural, Shared};
-    use crate::spherical::{store::StoreKind, tables::Grids, tests as spherical};
+    use crate::models::analytic::{Analytic, Parameters, tests::specimens};
+    use crate::models::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
+    use crate::models::ggx::Ggx;
+    use crate::models::hybrid::{Form, Hybrid};
+    use crate::models::nbrdf::Nbrdf;
+    use crate::models::neural::{self, Neural, Shared};
+    use crate::models::spherical::{store::StoreKind, tables::Grids, tests as spherical};
     use glam::Vec3;
     use proptest::prelude::*;
     use std::sync::{Arc, LazyLock};

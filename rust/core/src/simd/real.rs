@@ -39,11 +39,11 @@ pub trait Real:
     /// The larger one; `limit` in place of NaN.
     fn max(self, limit: Self) -> Self;
     /// self < other; false where either is NaN.
-    fn less(self, other: Self) -> Self::Mask;
+    fn lt(self, other: Self) -> Self::Mask;
     /// a and b.
-    fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// self where the mask holds, else `other`.
-    fn or_else(self, mask: Self::Mask, other: Self) -> Self;
+    fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// a where the mask holds, else b.
+    fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
     /// 2 to the power of self, a whole number from −126 to 127.
     fn power_of_two(self) -> Self;
     /// (n, m) with self = m 2ⁿ and m in [√½, √2), where self is a positive normal number.
@@ -57,7 +57,7 @@ pub trait Real:
 
     /// |self|.
     #[inline(always)]
-    fn magnitude(self) -> Self {
+    fn abs(self) -> Self {
         self.max(-self)
     }
 
@@ -114,18 +114,18 @@ impl Real for f32 {
     }
 
     #[inline(always)]
-    fn less(self, other: f32) -> bool {
+    fn lt(self, other: f32) -> bool {
         self < other
     }
 
     #[inline(always)]
-    fn both(self, a: bool, b: bool) -> bool {
+    fn and(self, a: bool, b: bool) -> bool {
         a & b
     }
 
     #[inline(always)]
-    fn or_else(self, mask: bool, other: f32) -> f32 {
-        if mask { self } else { other }
+    fn select(mask: bool, a: f32, b: f32) -> f32 {
+        if mask { a } else { b }
     }
 
     #[inline(always)]
@@ -282,18 +282,18 @@ impl<I: Lanes<L>, const L: usize> Real for Vector<I, L> {
     }
 
     #[inline(always)]
-    fn less(self, other: Self) -> I::Mask {
-        self.isa.less(self.lanes, other.lanes)
+    fn lt(self, other: Self) -> I::Mask {
+        self.isa.lt(self.lanes, other.lanes)
     }
 
     #[inline(always)]
-    fn both(self, a: I::Mask, b: I::Mask) -> I::Mask {
-        self.isa.both(a, b)
+    fn and(self, a: I::Mask, b: I::Mask) -> I::Mask {
+        self.isa.and(a, b)
     }
 
     #[inline(always)]
-    fn or_else(self, mask: I::Mask, other: Self) -> Self {
-        Vector { isa: self.isa, lanes: self.isa.select(mask, self.lanes, other.lanes) }
+    fn select(mask: I::Mask, a: Self, b: Self) -> Self {
+        Vector { isa: a.isa, lanes: a.isa.select(mask, a.lanes, b.lanes) }
     }
 
     #[inline(always)]

@@ -1,0 +1,74 @@
+//! What the faces and the model library ask of every model, beyond its reflectance.
+
+pub mod analytic;
+pub mod edit;
+pub mod factor;
+pub mod ggx;
+pub mod hybrid;
+pub mod nbrdf;
+pub mod neural;
+pub mod spherical;
+pub mod tabulated;
+
+use crate::brdf::Brdf;
+use crate::kernels::network::Network;
+use crate::microfacet::Microfacet;
+use crate::sampling::Plan;
+
+/// A model of reflectance: one file of this crate each, listed in [`crate::material`].
+pub trait Model: Brdf + Clone {
+    /// The model's name as files and commands spell it.
+    const KIND: &'static str;
+
+    /// How a material of this model is sampled where nothing else is asked for.
+    fn plan(&self) -> Plan {
+        Plan::Lobes
+    }
+
+    /// Whether f is the same in every azimuth by construction.
+    fn is_isotropic(&self) -> bool;
+
+    /// Whether f(l, v) = f(v, l) by construction.
+    fn is_reciprocal(&self) -> bool {
+        false
+    }
+
+    /// k_d, η, α of the models that have an analytic part.
+    fn microfacet(&self) -> Option<&Microfacet> {
+        None
+    }
+
+    /// z; empty for models that have none.
+    fn latent(&self) -> &[f32] {
+        &[]
+    }
+
+    /// The network of the models that have one, before anything is folded into it.
+    fn network(&self) -> Option<&Network> {
+        None
+    }
+
+    /// The same material with other k_d, η and α.
+    ///
+    /// # Errors
+    /// In words, a parameter out of range, or that the model has no analytic part.
+    fn with_microfacet(&self, _: Microfacet) -> Result<Self, String> {
+        Err(format!("a {} material has no kd, eta or alpha to edit", Self::KIND))
+    }
+
+    /// The same material with another latent code.
+    ///
+    /// # Errors
+    /// In words, a code of another length or not finite, or that the model has none.
+    fn with_latent(&self, _: Vec<f32>) -> Result<Self, String> {
+        Err(format!("a {} material has no latent code", Self::KIND))
+    }
+
+    /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.
+    ///
+    /// # Errors
+    /// In words that go on from the names of the two, why they cannot be mixed.
+    fn mix(&self, _other: &Self, _t: f32) -> Result<Self, String> {
+        Err(format!("cannot be mixed: a {} material has no parameters between which to go", Self::KIND))
+    }
+}
