@@ -14,7 +14,7 @@ use glimt_check::extremes::parts;
 use glimt_core::brdf::lane_of;
 use glimt_core::microfacet::Microfacet;
 use glimt_core::simd::{LANES, Lane3, isa_name};
-use glimt_core::{Brdf, Library, Material, SampleBrdf, Vec3, mixed};
+use glimt_core::{Brdf, Library, Material, SampleBrdf, Vec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -117,10 +117,10 @@ fn mixed_tiles(materials: &[&Material], Pairs { light, view, .. }: &Pairs) -> im
         let first = materials[tile % materials.len()];
         let of_lane = std::array::from_fn(|lane| {
             let material = materials[(tile + lane / 2 * 7) % materials.len()];
-            if mixed::together(first, material) { material } else { first }
+            if first.shares_tiles_with(material) { material } else { first }
         });
         let mut out = [[0.0; LANES]; 3];
-        mixed::eval_tile(&of_lane, &components(light), &components(view), &mut out);
+        Material::eval_mixed_tile(&of_lane, &components(light), &components(view), &mut out);
         for lane in 0..LANES {
             digest.vectors(&[lane_of(&out, lane)]);
         }

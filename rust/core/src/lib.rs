@@ -1,7 +1,7 @@
 //! The core of glimt: what a renderer needs to evaluate and sample a fitted BRDF.
 //!
 //! The folders are floors, and each imports only from those before it: `simd`, `brdf`, `directions` and `microfacet`,
-//! `kernels`, `sampling`, `models`, `material`, `mixed`, `library`.
+//! `kernels`, `sampling`, `models`, `material`, `library`.
 
 pub mod brdf;
 pub mod directions;
@@ -10,7 +10,6 @@ pub mod kernels;
 pub mod library;
 pub mod material;
 pub mod microfacet;
-pub mod mixed;
 pub mod models;
 pub mod oddity;
 pub mod sampling;

@@ -241,7 +241,7 @@ dispatch! {
             for c in 0..3 {
                 let a = Vector::load(isa, &outputs[c][column]);
                 let b = Vector::load(isa, &outputs[c + second][column]);
-                composition.compose(a, b, f_a[c], MAX_RESIDUAL).store(&mut model[c][column]);
+                composition.compose(a, b, f_a[c], a.splat(MAX_RESIDUAL)).store(&mut model[c][column]);
             }
         }
     }

@@ -363,9 +363,10 @@ mod tests {
     use crate::train::{Schedule, State, train};
     use crate::truth::Truth;
     use glam::{DMat3, DVec3};
+    use glimt_core::Brdf;
     use glimt_core::microfacet::Microfacet;
     use glimt_core::models::ggx::Ggx;
-    use glimt_core::{Brdf, neural::Neural};
+    use glimt_core::models::neural::Neural;
     use std::ops::ControlFlow;
     use std::sync::Arc;
 

@@ -275,7 +275,7 @@ fn position<F: Real>(light: [F; 3], view: [F; 3]) -> [F; 3] {
     let beside = light[1] * x - light[0] * y;
     let phi_diff = angle(beside.max(-beside), along.max(-along));
     // The other half of the circle is the same by reciprocity.
-    let phi_diff = Real::select((along * beside).lt(zero), (-(phi_diff - PI as f32)), phi_diff);
+    let phi_diff = Real::select((along * beside).lt(zero), -(phi_diff - PI as f32), phi_diff);
 
     let bins = BINS.map(|bins| bins as f32);
     [

@@ -8,7 +8,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::microfacet::Half;
+use crate::microfacet::{Half, Roughness};
 use crate::simd::Real;
 use crate::simd::math::ln;
 
@@ -65,7 +65,8 @@ impl Inputs {
     #[inline(always)]
     #[must_use]
     pub fn compute<F: Real>(self, light: [F; 3], view: [F; 3], alpha: [f32; 2]) -> [F; MAX_FEATURES] {
-        self.compute_half(&Half::new(light, view), light, view, alpha)
+        let roughness = Roughness::new(alpha).splat(light[0]);
+        self.compute_half(&Half::new(light, view), light, view, &roughness)
     }
 
     /// [`Inputs::compute`] where the half vector is known.
@@ -76,7 +77,7 @@ impl Inputs {
         half: &Half<F>,
         light: [F; 3],
         view: [F; 3],
-        alpha: [f32; 2],
+        roughness: &Roughness<F>,
     ) -> [F; MAX_FEATURES] {
         let none = light[0].splat(0.0);
         if self == Inputs::Cartesian {
@@ -90,7 +91,7 @@ impl Inputs {
             [cos_phi_d * cos_phi_d - sin_phi_d * sin_phi_d, cos_phi_d * sin_phi_d * 2.0];
         let [sum, product] = [light[2] + view[2] - 1.0, centre(light[2] * view[2])];
         let [light_z, view_z] = [centre(light[2]), centre(view[2])];
-        let lobe = lobe(half, alpha);
+        let lobe = lobe(half, roughness);
         match self {
             Inputs::Cartesian | Inputs::Isotropic => {
                 [centre(root_h), cos_d, cos_phi_d, light_z, view_z, lobe, none, none]
@@ -113,7 +114,7 @@ impl Inputs {
     #[inline(always)]
     #[must_use]
     pub fn lobe_derivative<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> [F; 2] {
-        let spread = half.height + half.slope(alpha);
+        let spread = half.height + half.slope(&Roughness::new(alpha).splat(half.height));
         let scale = half.height.splat(-2.0 * LOBE_SCALE) / spread;
         let [x, y] = [alpha[0] * alpha[0] * alpha[0], alpha[1] * alpha[1] * alpha[1]];
         [scale * half.tangential[0] * (1.0 / x), scale * half.tangential[1] * (1.0 / y)]
@@ -175,8 +176,8 @@ fn azimuth_d<F: Real>(half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 2] {
 
 /// ln(1 + tan²θ_h/α²), scaled; the same in every direction that has the same D(h).
 #[inline(always)]
-fn lobe<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> F {
-    ln((half.slope(alpha) / half.height).at_most(MAX_SLOPE) + 1.0) * LOBE_SCALE
+fn lobe<F: Real>(half: &Half<F>, roughness: &Roughness<F>) -> F {
+    ln((half.slope(roughness) / half.height).at_most(MAX_SLOPE) + 1.0) * LOBE_SCALE
 }
 
 /// The same features in float64 by the angles' definitions. What tests compare against.

@@ -197,7 +197,7 @@ impl<F: Real> Ring<F> {
     #[inline(always)]
     fn point(self, quarter: F, column: F) -> F {
         let place = quarter * self.size + column - self.shift;
-        let place = Real::select(place.lt(place.splat(0.0)), (place + self.count), place);
+        let place = Real::select(place.lt(place.splat(0.0)), place + self.count, place);
         let place = Real::select(place.lt(self.count), place, place - self.count);
         self.first + place
     }
@@ -241,7 +241,7 @@ pub(crate) fn quarter_turn<F: Real>(y: F, x: F) -> F {
     p = p * square - 3.333_295e-1;
     let turn =
         (p * square * r + r) * std::f32::consts::FRAC_2_PI + Real::select(middle, x.splat(0.5), x.splat(0.0));
-    Real::select(x.lt(y), (x.splat(1.0) - turn), turn)
+    Real::select(x.lt(y), x.splat(1.0) - turn, turn)
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! From a model's formulas for pairs side by side to every way in which pairs come: one, a packet of the
 //! caller's width, a tile, a batch of any length.
 
+pub mod mixed;
 pub mod network;
 
 use glam::Vec3;
@@ -123,7 +124,13 @@ fn eval_lit<K: Kernel, I: Lanes<L>, const L: usize>(
     if !Vector::any(isa, lit) {
         return [zero; 3];
     }
-    let f = model.eval_lanes(isa, light, view);
+    lit_or_zero(lit, model.eval_lanes(isa, light, view))
+}
+
+/// f where the mask holds, 0 elsewhere.
+#[inline(always)]
+fn lit_or_zero<F: Real>(lit: F::Mask, f: [F; 3]) -> [F; 3] {
+    let zero = f[0].splat(0.0);
     [Real::select(lit, f[0], zero), Real::select(lit, f[1], zero), Real::select(lit, f[2], zero)]
 }
 

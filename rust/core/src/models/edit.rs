@@ -24,7 +24,7 @@ use glam::Vec3;
 
 use crate::brdf::{Brdf, is_lit};
 use crate::directions::elevations;
-use crate::microfacet::{Half, Microfacet};
+use crate::microfacet::{Half, Microfacet, Terms};
 use crate::sampling::lobes::{sample_cosine, sample_visible_normal, visible_normal_pdf};
 use crate::simd::Real;
 
@@ -54,12 +54,15 @@ const MIN_COS: f32 = 1e-3;
 ///
 /// Light and view keep their places about the half vector. A pair whose h is the normal is turned along x.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Turn {
+pub struct Turn<F = f32> {
     /// What tan²θ_h grows by along x and y.
-    growth: [f32; 2],
+    pub(crate) growth: [F; 2],
 }
 
 impl Turn {
+    /// How many numbers it is.
+    pub(crate) const COUNT: usize = 2;
+
     /// For a lobe of roughness `fitted` that is now `edited`; `None` where it is not wider along any axis.
     #[must_use]
     pub fn new(fitted: [f32; 2], edited: [f32; 2]) -> Option<Turn> {
@@ -68,10 +71,19 @@ impl Turn {
         (growth != [0.0; 2]).then_some(Turn { growth })
     }
 
+    /// The same in every lane.
+    #[inline(always)]
+    #[must_use]
+    pub fn splat<F: Real>(&self, like: F) -> Turn<F> {
+        Turn { growth: [like.splat(self.growth[0]), like.splat(self.growth[1])] }
+    }
+}
+
+impl<F: Real> Turn<F> {
     /// The pair as the network is asked about it.
     #[inline(always)]
     #[must_use]
-    pub fn apply<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [[F; 3]; 2] {
+    pub fn apply(&self, light: [F; 3], view: [F; 3]) -> [[F; 3]; 2] {
         let half = Half::new(light, view);
         let (zero, one) = (light[0].splat(0.0), light[0].splat(1.0));
         let tilted = zero.lt(half.across);
@@ -118,8 +130,8 @@ pub type Albedos = [[f32; 3]; KNOTS];
 
 /// The share of the network's residual that there is room for, between [`KNOTS`] elevations.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Room {
-    shares: [f32; KNOTS],
+pub struct Room<F = f32> {
+    pub(crate) shares: [F; KNOTS],
 }
 
 impl Room {
@@ -134,23 +146,15 @@ impl Room {
         &self.shares
     }
 
-    /// s: the lesser of the shares for light and view, so that a reciprocal material stays one.
+    /// The same in every lane.
     #[inline(always)]
     #[must_use]
-    pub fn share<F: Real>(&self, light: [F; 3], view: [F; 3]) -> F {
-        self.at(light[2]).min(self.at(view[2]))
-    }
-
-    /// The share for one direction: a sum of ramps, each of which rises by the step between two knots.
-    #[inline(always)]
-    fn at<F: Real>(&self, cos_theta: F) -> F {
-        let place = elevations::place(cos_theta) * STEPS as f32;
-        let mut share = place.splat(self.shares[0]);
-        for i in 0..STEPS {
-            let ramp = (place - i as f32).clamped(0.0, 1.0);
-            share = ramp.fma(place.splat(self.shares[i + 1] - self.shares[i]), share);
+    pub fn splat<F: Real>(&self, like: F) -> Room<F> {
+        let mut shares = [like; KNOTS];
+        for i in 0..KNOTS {
+            shares[i] = like.splat(self.shares[i]);
         }
-        share
+        Room { shares }
     }
 
     /// The room for the residual of `whole`, of which `gated` has none, below the largest albedo of `allowed` and 1,
@@ -181,6 +185,27 @@ impl Room {
             rooms[from..=to].iter().copied().fold(1.0, f32::min)
         };
         Room { shares: std::array::from_fn(least) }
+    }
+}
+
+impl<F: Real> Room<F> {
+    /// s: the lesser of the shares for light and view, so that a reciprocal material stays one.
+    #[inline(always)]
+    #[must_use]
+    pub fn share(&self, light: [F; 3], view: [F; 3]) -> F {
+        self.at(light[2]).min(self.at(view[2]))
+    }
+
+    /// The share for one direction: a sum of ramps, each of which rises by the step between two knots.
+    #[inline(always)]
+    fn at(&self, cos_theta: F) -> F {
+        let place = elevations::place(cos_theta) * STEPS as f32;
+        let mut share = self.shares[0];
+        for i in 0..STEPS {
+            let ramp = (place - i as f32).clamped(0.0, 1.0);
+            share = ramp.fma(self.shares[i + 1] - self.shares[i], share);
+        }
+        share
     }
 }
 
@@ -243,6 +268,8 @@ pub struct Edit {
     pub fitted: Fitted,
     /// p₀, beside which the network was fitted.
     pub microfacet: Microfacet,
+    /// What the analytic part needs of p.
+    pub terms: Terms,
     /// How the network is asked; `None` where it is asked about the very pair.
     pub turn: Option<Turn>,
     /// The share of the residual that stays.

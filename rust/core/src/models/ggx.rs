@@ -1,14 +1,16 @@
 //! `ggx`: the analytic BRDF alone, as a material.
 
 use crate::kernels::Kernel;
-use crate::microfacet::Microfacet;
+use crate::kernels::mixed::{self, MixedKernel};
+use crate::microfacet::{Microfacet, Terms};
 use crate::models::Model;
-use crate::simd::{Lanes, Vector};
+use crate::simd::{LANES, Lane3, Lanes, Vector};
 
 /// A material that is [`Microfacet`] and nothing else. Reciprocal.
 #[derive(Clone, Debug)]
 pub struct Ggx {
     microfacet: Microfacet,
+    terms: Terms,
 }
 
 impl Ggx {
@@ -18,7 +20,7 @@ impl Ggx {
     /// See [`Microfacet::validate`].
     pub fn new(microfacet: Microfacet) -> Result<Self, String> {
         microfacet.validate()?;
-        Ok(Ggx { microfacet })
+        Ok(Ggx { microfacet, terms: microfacet.terms() })
     }
 
     /// The material's parameters.
@@ -47,6 +49,14 @@ impl Model for Ggx {
         Ggx::new(microfacet)
     }
 
+    fn shares_tiles_with(&self, _: &Self) -> bool {
+        true
+    }
+
+    fn eval_mixed_tile(materials: &[&Self; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        mixed::eval_tile(materials, light, view, out);
+    }
+
     fn mix(&self, other: &Self, t: f32) -> Result<Self, String> {
         Ggx::new(self.microfacet.mix(&other.microfacet, t))
     }
@@ -60,7 +70,24 @@ impl Kernel for Ggx {
         light: [Vector<I, L>; 3],
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
-        self.microfacet.eval(light, view)
+        self.terms.splat(light[0]).eval(light, view)
+    }
+}
+
+impl MixedKernel for Ggx {
+    #[inline(always)]
+    fn eval_mixed<I: Lanes<L>, const L: usize>(
+        isa: I,
+        materials: &[&Self; L],
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let mut rows = [[0.0; Terms::COUNT.next_multiple_of(4)]; L];
+        for lane in 0..L {
+            rows[lane][..Terms::COUNT].copy_from_slice(&materials[lane].terms.to_row());
+        }
+        let [terms @ .., _] = Vector::transpose(isa, &rows);
+        Terms::from_row(terms).eval(light, view)
     }
 }
 

@@ -14,6 +14,7 @@ use crate::brdf::Brdf;
 use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
 use crate::sampling::Plan;
+use crate::simd::{LANES, Lane3};
 
 /// A model of reflectance: one file of this crate each, listed in [`crate::material`].
 pub trait Model: Brdf + Clone {
@@ -62,6 +63,16 @@ pub trait Model: Brdf + Clone {
     /// In words, a code of another length or not finite, or that the model has none.
     fn with_latent(&self, _: Vec<f32>) -> Result<Self, String> {
         Err(format!("a {} material has no latent code", Self::KIND))
+    }
+
+    /// Whether lanes of this material and lanes of `other` can be in one tile.
+    fn shares_tiles_with(&self, other: &Self) -> bool {
+        std::ptr::eq(self, other)
+    }
+
+    /// f_r in every lane, of that lane's material; the first [shares tiles with](Model::shares_tiles_with) each.
+    fn eval_mixed_tile(materials: &[&Self; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        materials[0].eval_tile(light, view, out);
     }
 
     /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.

@@ -122,7 +122,7 @@ fn half_difference<F: Real>(light: [F; 3], view: [F; 3]) -> [F; FEATURES] {
     // Where h = n its azimuth is 0 by convention.
     let inclined = zero.lt(across);
     let [cos_phi, sin_phi] =
-        [Real::select(inclined, h[0] / across, one), Real::select(inclined, (h[1] / across), zero)];
+        [Real::select(inclined, h[0] / across, one), Real::select(inclined, h[1] / across, zero)];
     let [sin_theta, cos_theta] = [across / length, h[2] / length];
     let along = light[0] * cos_phi + light[1] * sin_phi;
     [

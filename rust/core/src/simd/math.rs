@@ -99,11 +99,11 @@ pub fn angle<F: Real>(across: F, along: F) -> F {
 
     let (low, high) = (across.min(along), along.max(across).max(along.splat(f32::MIN_POSITIVE)));
     let far = (high * TAN_PI_8).lt(low);
-    let t = Real::select(far, low - high, low) / Real::select(far, (low + high), high);
+    let t = Real::select(far, low - high, low) / Real::select(far, low + high, high);
     let square = t * t;
     let angle = (polynomial(square, COEFFICIENTS) * square).fma(t, t);
     let angle = Real::select(far, angle + FRAC_PI_4, angle);
-    Real::select(along.lt(across), (-(angle - FRAC_PI_2)), angle)
+    Real::select(along.lt(across), -(angle - FRAC_PI_2), angle)
 }
 
 /// Σ `coefficients[i]` xⁱ by Horner's rule.

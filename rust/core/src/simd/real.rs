@@ -174,6 +174,20 @@ impl<I: Lanes<L>, const L: usize> Vector<I, L> {
         [Vector { isa, lanes: x }, Vector { isa, lanes: y }, Vector { isa, lanes: z }]
     }
 
+    /// The columns of rows: number by number, that of every lane. There is a multiple of four of them.
+    #[inline(always)]
+    pub fn transpose<const N: usize>(isa: I, rows: &[[f32; N]; L]) -> [Self; N] {
+        const { assert!(N.is_multiple_of(4)) };
+        let mut columns = [Vector::new(isa, 0.0); N];
+        for first in (0..N).step_by(4) {
+            let four = isa.columns(rows, first);
+            for i in 0..4 {
+                columns[first + i] = Vector { isa, lanes: four[i] };
+            }
+        }
+        columns
+    }
+
     /// To memory.
     #[inline(always)]
     pub fn store(self, to: &mut [f32; L]) {
@@ -194,6 +208,12 @@ impl<I: Lanes<L>, const L: usize> Vector<I, L> {
     #[must_use]
     pub fn first(self) -> f32 {
         self.to_array()[0]
+    }
+
+    /// The registers.
+    #[inline(always)]
+    pub(crate) fn lanes(self) -> I::Vector {
+        self.lanes
     }
 
     /// Whether a mask of such numbers holds in any lane.

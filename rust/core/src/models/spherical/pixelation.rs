@@ -110,7 +110,7 @@ impl LatLong {
         let right = (quarter + t) * (0.25 * columns);
         let row = limit(floor(down), x.splat(rows - 2.0));
         let column = limit(floor(right), x.splat(columns - 1.0));
-        let next = Real::select(column.lt(x.splat(columns - 1.0)), (column + 1.0), zero);
+        let next = Real::select(column.lt(x.splat(columns - 1.0)), column + 1.0, zero);
         let at = [limit(down - row, one), limit(right - column, one)];
         let first = row * columns;
         let second = first + columns;

@@ -11,7 +11,7 @@ use glam::Vec3;
 
 use crate::brdf::is_lit;
 use crate::directions::elevations;
-use crate::microfacet::{Half, masking_denominator};
+use crate::microfacet::{Half, Roughness, masking_denominator};
 
 mod fit;
 
@@ -202,7 +202,7 @@ pub(crate) fn sample_visible_normal(alpha: [f32; 2], view: Vec3, u1: f32, u2: f3
 /// Density of [`sample_visible_normal`]: D_v(h)/(4 cosθ_d) = G₁(v) D(h) / (4 cosθ_v).
 pub(crate) fn visible_normal_pdf(alpha: [f32; 2], light: Vec3, view: Vec3) -> f32 {
     let view: [f32; 3] = view.into();
-    0.5 * Half::new(light.into(), view).ndf(alpha) / masking_denominator(view, alpha)
+    0.5 * Half::new(light.into(), view).ndf(&Roughness::new(alpha)) / masking_denominator(view, alpha)
 }
 
 /// The same sampler in float64, written as the papers print it. What tests compare against.
