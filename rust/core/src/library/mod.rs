@@ -118,6 +118,26 @@ pub fn mix_name(a: &str, b: &str, t: f32) -> String {
 const COLOR_SPACE: &str = "linear sRGB";
 
 /// Materials of one model.
+///
+/// ```
+/// use glimt_core::library::{Entry, Origin};
+/// use glimt_core::microfacet::Microfacet;
+/// use glimt_core::models::ggx::Ggx;
+/// use glimt_core::{Brdf, Kind, Library, Vec3};
+///
+/// let shipped = Library::open("../../scenes/models/rgl.safetensors")?;
+/// assert_eq!((shipped.kind(), shipped.entries().len()), (Kind::Hybrid, 12));
+/// let between = shipped.mix("chm_mint", "chm_orange", 0.3)?;
+/// assert!(between.eval(Vec3::Z, Vec3::Z).min_element() >= 0.0);
+///
+/// // A library of one's own.
+/// let plastic = Ggx::new(Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.1; 2] }).unwrap();
+/// let entry = Entry { name: "plastic".to_owned(), material: plastic.into(), origin: Origin::default() };
+/// let library = Library::new("plastic.safetensors", vec![entry])?;
+/// let read = Library::from_bytes("plastic.safetensors", &library.to_bytes().unwrap())?;
+/// assert_eq!(read.names(), ["plastic"]);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Library {
     path: PathBuf,
