@@ -108,7 +108,7 @@ def test_tour_of_the_readme(toured):
     assert (toured / "out" / "orange.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("page", filter(has_commands, GUIDE), ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", list(filter(has_commands, GUIDE)), ids=lambda page: page.stem)
 def test_guide(page, toured):
     assert run_page(page, toured) > 0
 
