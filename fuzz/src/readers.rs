@@ -33,10 +33,9 @@ pub const READERS: [Reader; 9] = [
 /// Model libraries.
 pub fn library(bytes: &[u8]) -> bool {
     let Some(library) = within(JSON, bytes, || Library::from_bytes(PATH, bytes)) else { return false };
-    for entry in library.entries() {
-        promises(&entry.material);
-    }
-    true
+    let entries = library.entries();
+    entries.iter().flatten().for_each(|entry| promises(&entry.material));
+    entries.is_ok()
 }
 
 /// MERL tables: the header and length of any bytes, and any numbers in a table.

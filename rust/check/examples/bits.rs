@@ -31,8 +31,9 @@ fn main() {
     }
     for path in std::env::args().skip(1) {
         let library = Library::open(&path).unwrap_or_else(|error| panic!("{error}"));
-        let materials: Vec<&Material> = library.entries().iter().map(|entry| &entry.material).collect();
-        for entry in library.entries() {
+        let materials: Vec<&Material> =
+            library.entries().unwrap().iter().map(|entry| &entry.material).collect();
+        for entry in library.entries().unwrap() {
             print(&entry.name, &entry.material, &pairs);
             if let Some(edited) = edited(&entry.material) {
                 print(&format!("{}, edited", entry.name), &edited, &pairs);

@@ -54,7 +54,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
     let inputs = fitting::inputs(&sources, &fitting::command(&files), true)?;
 
-    fitting::warn(&doubts(&inputs, Some(numbers_each(&library, &inputs))));
+    fitting::warn(&doubts(&inputs, Some(numbers_each(&library, &inputs)?)));
     let mut watch = Watch::new()?;
     let mut report = |progress: &_, _: Option<&_>| watch.report(progress);
     let Some(mut added) = add(&library, &inputs, arguments.steps, arguments.seed, &mut report)? else {
@@ -71,6 +71,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
             path.display()
         );
     }
-    Library::new(path, [library.entries(), &added].concat())?.save()?;
+    let entries = library.entries()?.into_iter().cloned().chain(added.iter().cloned());
+    Library::new(path, entries.collect())?.save()?;
     fitting::print_errors(path, &added, arguments.json)
 }

@@ -105,8 +105,8 @@ fn materials_of(source: &Source, arguments: &Arguments) -> Result<Vec<(String, M
     // There is nothing between scattered samples that could be tested, and that is the error.
     let library = source.library()?;
     let entries = match &arguments.material {
-        Some(name) => std::slice::from_ref(library.entry(Some(name))?),
-        None => library.entries(),
+        Some(name) => vec![library.entry(Some(name))?],
+        None => library.entries()?,
     };
     let material = |material: &Material| match arguments.sampler {
         Some(choice) => material.with_sampler(choice),

@@ -140,7 +140,7 @@ fn write_library(path: &Path, sources: &[Source], only: Option<&str>) -> Result<
         let library = source.library()?;
         match only {
             Some(name) => entries.push(library.entry(Some(name))?.clone()),
-            None => entries.extend_from_slice(library.entries()),
+            None => entries.extend(library.entries()?.into_iter().cloned()),
         }
     }
     Ok(Library::new(path, entries)?.save()?)

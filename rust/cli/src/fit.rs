@@ -471,14 +471,14 @@ fn finished(checkpoint: &Path, inputs: &[Input], options: &FactorOptions) -> Res
             && Origin { metrics: BTreeMap::new(), ..entry.origin.clone() } == asked
             && library.kind() == Kind::Factor
     };
-    let entries = library.entries();
+    let entries = library.entries()?;
     if entries.len() > inputs.len() || !entries.iter().zip(inputs).all(|(entry, input)| is_of(entry, input)) {
         bail!(
             "the checkpoint {} is of a fit of other materials or with other options; expected the same command",
             checkpoint.display()
         );
     }
-    Ok(entries.to_vec())
+    Ok(entries.into_iter().cloned().collect())
 }
 
 /// Saves the library before it is measured, which takes a while, and again with its errors.

@@ -127,10 +127,10 @@ impl Info {
         let metadata = std::fs::metadata(source.path()).with_context(|| format!("cannot read {file}"))?;
         let content = match source {
             Source::Library(library) => {
-                let Entry { name, material, .. } = &library.entries()[0];
+                let Entry { name, material, .. } = library.first()?;
                 match material.model() {
                     AnyModel::Tabulated(table) => table_content(name, table.table(), material),
-                    _ => library_content(library),
+                    _ => library_content(library)?,
                 }
             }
             Source::Samples { samples, .. } => samples_content(source.names().remove(0), samples),
@@ -202,10 +202,10 @@ impl Info {
     }
 }
 
-fn library_content(library: &Library) -> Content {
-    let first = &library.entries()[0].material;
-    let (bytes_per_material, shared_bytes) = library.tensor_bytes();
-    Content::Library {
+fn library_content(library: &Library) -> Result<Content> {
+    let first = &library.first()?.material;
+    let (bytes_per_material, shared_bytes) = library.tensor_bytes()?;
+    Ok(Content::Library {
         form: match first.model() {
             AnyModel::Hybrid(hybrid) => Some(hybrid.form()),
             _ => None,
@@ -213,8 +213,8 @@ fn library_content(library: &Library) -> Content {
         network: first.network().map(NetworkInfo::new),
         bytes_per_material,
         shared_bytes,
-        materials: library.entries().iter().map(MaterialInfo::new).collect(),
-    }
+        materials: library.entries()?.into_iter().map(MaterialInfo::new).collect(),
+    })
 }
 
 fn table_content(name: &str, table: &dyn Table, sampled: &Material) -> Content {

@@ -358,13 +358,13 @@ mod tests {
         let edited = edited.with_latent(vec![0.1; edited.latent().len()]).unwrap();
         let tabulated = material.with_sampler("table:4x4x4".parse().unwrap());
         let _ = (material.eval(Vec3::Z, Vec3::Z), edited.eval(Vec3::Z, Vec3::Z), tabulated.plan().name());
-        assert!(!library.entries().iter().any(|entry| is_made(&entry.material)));
+        assert!(!library.entries().unwrap().iter().any(|entry| is_made(&entry.material)));
         assert!(!is_made(&edited) && !is_made(&tabulated));
 
         let copy = material.clone();
         assert!(copy.pdf(Vec3::Z, Vec3::Z) > 0.0);
         assert!(std::ptr::eq(copy.sampler(), material.sampler()));
-        assert_eq!(library.entries().iter().filter(|entry| is_made(&entry.material)).count(), 1);
+        assert_eq!(library.entries().unwrap().iter().filter(|entry| is_made(&entry.material)).count(), 1);
         assert!(matches!(tabulated.with_microfacet(microfacet).unwrap().sampler(), Sampler::Table(_)));
     }
 }

@@ -238,7 +238,7 @@ pub unsafe extern "C" fn glimt_library_open(
         match Source::open(path).and_then(|source| source.library().cloned()) {
             Err(error) => fail_to_open(error),
             Ok(opened) => {
-                let names = opened.entries().iter().map(|entry| c_string(&entry.name)).collect();
+                let names = opened.names().iter().map(|name| c_string(name)).collect();
                 let kind = c_string(opened.kind().name());
                 // SAFETY: the caller's promise.
                 unsafe { hand_out(library, glimt_library { library: opened, names, kind }) }

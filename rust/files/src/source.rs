@@ -95,8 +95,8 @@ impl Source {
     #[must_use]
     pub fn kind(&self) -> &'static str {
         match self {
-            Source::Library(library) => match library.entries()[0].material.model() {
-                AnyModel::Tabulated(tabulated) => tabulated.table().format(),
+            Source::Library(library) => match library.first().map(|entry| entry.material.model()) {
+                Ok(AnyModel::Tabulated(tabulated)) => tabulated.table().format(),
                 _ => library.kind().name(),
             },
             Source::Samples { .. } => "samples",

@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let library = Library::open(arguments.next().ok_or("a model library is missing")?)?;
     let seeds: Vec<u64> = arguments.map(|seed| seed.parse()).collect::<Result<_, _>>()?;
     let mut seconds = [const { Vec::new() }; 4];
-    for entry in library.entries() {
+    for entry in library.entries().unwrap() {
         println!("{}", entry.name);
         let variants = [Variant::Bivariate, Variant::Naive, Variant::GFromD, Variant::IndependentG];
         for (variant, seconds) in variants.into_iter().zip(&mut seconds) {

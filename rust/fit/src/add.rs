@@ -38,8 +38,8 @@ pub fn add(
     seed: u64,
     watch: &mut Watch,
 ) -> Result<Option<Vec<Entry>>, Error> {
-    let first = match library.entries()[0].material.model() {
-        AnyModel::Hybrid(material) if !material.latent().is_empty() && library.shares_network() => material,
+    let first = match library.first()?.material.model() {
+        AnyModel::Hybrid(material) if !material.latent().is_empty() && library.shares_network()? => material,
         _ => {
             let kind = library.kind();
             let reason = format!(
@@ -88,10 +88,11 @@ pub fn add(
     let loss = objective.analytic_loss.unwrap_or(objective.loss);
     let Some(p) = fit_analytic(&truths, loss, isotropic, &schedule, watch)? else { return Ok(None) };
     let judge = Judge::new(Drawing::Lobes, seed, 4);
+    let entries = library.entries()?;
     let candidates = p
         .iter()
         .zip(&truths)
-        .map(|(p, &truth)| nearest_codes(&objective, &shared, p, library, truth, &judge));
+        .map(|(p, &truth)| nearest_codes(&objective, &shared, p, &entries, truth, &judge));
     let Some(own) = best_of(&objective, &shared, &truths, candidates.collect(), &schedule, watch)? else {
         return Ok(None);
     };
@@ -117,16 +118,18 @@ pub fn add(
 }
 
 /// How many numbers [`add`] fits for each of `inputs`.
-#[must_use]
-pub fn numbers_each(library: &Library, inputs: &[Input]) -> usize {
+///
+/// # Errors
+/// [`Error::Library`].
+pub fn numbers_each(library: &Library, inputs: &[Input]) -> Result<usize, Error> {
     let isotropic = inputs.iter().all(|input| input.isotropic);
-    analytic::len(isotropic) + library.entries()[0].material.latent().len()
+    Ok(analytic::len(isotropic) + library.first()?.material.latent().len())
 }
 
 /// What the library was fitted with; for one that does not say, the paper's recipe if it has the paper's
 /// inputs, and else glimt's own.
 fn recipe(library: &Library, inputs: Inputs) -> Result<Recipe, Error> {
-    if let Some(recipe) = &library.entries()[0].origin.recipe {
+    if let Some(recipe) = &library.first()?.origin.recipe {
         return Recipe::deserialize(recipe).map_err(|e| {
             let path = library.path().display();
             Error::Options(format!("the recipe in {path} is of another version of glimt: {e}"))
@@ -145,12 +148,11 @@ fn nearest_codes(
     objective: &HybridObjective,
     shared: &[f32],
     p: &[f32],
-    library: &Library,
+    entries: &[&Entry],
     truth: Truth,
     judge: &Judge,
 ) -> Vec<Vec<f32>> {
-    let mut starts: Vec<(f64, Vec<f32>)> = library
-        .entries()
+    let mut starts: Vec<(f64, Vec<f32>)> = entries
         .iter()
         .map(|entry| {
             let own = [p, entry.material.latent()].concat();

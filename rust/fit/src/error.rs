@@ -22,6 +22,9 @@ pub enum Error {
         /// What was found.
         reason: String,
     },
+    /// A material of a library cannot be read.
+    #[error(transparent)]
+    Library(#[from] glimt_core::Error),
     /// The checkpoint cannot be read or written.
     #[error("checkpoint {}: {reason}", path.display())]
     Checkpoint {

@@ -278,7 +278,7 @@ fn add_leaves_the_network_and_comes_close_to_the_joint_fit() {
     let library = Library::new("two", two).unwrap();
     let mut watch = |_: &_, _: Option<&_>| ControlFlow::Continue(());
     let added = add(&library, &inputs[2..], 600, 1, &mut watch).unwrap().unwrap();
-    let before = library.entries()[0].material.network().unwrap();
+    let before = library.entries().unwrap()[0].material.network().unwrap();
     assert!(std::ptr::eq(before, added[0].material.network().unwrap()));
     let analytic = Ggx::new(*added[0].material.microfacet().unwrap()).unwrap();
     let error = |model: &dyn Brdf| log_mae(&TARGETS[2], model);

@@ -70,7 +70,7 @@ fn readable(name: &str, entries: &[Entry]) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join(format!("{name}.safetensors"));
     Library::new(&path, entries.to_vec()).unwrap().save().unwrap();
-    assert_eq!(Library::open(&path).unwrap().entries().len(), entries.len());
+    assert_eq!(Library::open(&path).unwrap().entries().unwrap().len(), entries.len());
 }
 
 #[test]

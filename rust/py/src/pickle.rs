@@ -71,7 +71,8 @@ pub type State<'py> = (PathBuf, Bound<'py, PyAny>, Option<String>);
 /// Those of [`SourceFile::sha256`].
 pub fn reduce<'py>(py: Python<'py>, library: &Library) -> PyResult<(Bound<'py, PyAny>, State<'py>)> {
     let held = library.source.library().ok();
-    let (path, content) = match held.and_then(|held| held.to_bytes()) {
+    let bytes = held.map(|held| held.to_bytes()).transpose().map_err(error)?;
+    let (path, content) = match bytes.flatten() {
         Some(bytes) => (library.source.path(), PyBytes::new(py, &bytes).into_any()),
         None => (library.file.path(), PyString::new(py, library.file.sha256()?).into_any()),
     };

@@ -98,7 +98,7 @@ fn cases(arguments: &Arguments) -> Result<Vec<Case>> {
 /// The first material of a file.
 fn from_file(path: &PathBuf) -> Result<Case> {
     match Source::open(path)? {
-        Source::Library(library) => Ok(Case::new(library.entries()[0].material.clone())),
+        Source::Library(library) => Ok(Case::new(library.first()?.material.clone())),
         Source::Samples { .. } => bail!("{} holds scattered samples, which answer no pair", path.display()),
     }
 }

@@ -79,7 +79,7 @@ impl Opponents {
 
     fn add_truths(&mut self, library: &Library, format: &'static str) -> Result<()> {
         let hash = sha256(library.path())?;
-        for entry in library.entries() {
+        for entry in library.entries()? {
             if let Some(other) = self.truths.iter().find(|truth| plain(&truth.name) == plain(&entry.name)) {
                 bail!(
                     "{} and {} both hold \"{}\"",
@@ -146,8 +146,8 @@ impl Model {
             file: library.path().to_owned(),
             sha256: sha256(library.path())?,
             files: Vec::new(),
-            entries: library.entries().to_vec(),
-            bytes: library.tensor_bytes(),
+            entries: library.entries()?.into_iter().cloned().collect(),
+            bytes: library.tensor_bytes()?,
             fit_seconds: None,
         })
     }
@@ -161,18 +161,19 @@ impl Model {
     /// Several files of one kind, called after it.
     fn of_files(libraries: &[&Library]) -> Result<Model> {
         let first = libraries[0];
-        let mut hashes = String::new();
+        let (mut hashes, mut entries) = (String::new(), Vec::new());
         for library in libraries {
             hashes += &sha256(library.path())?;
+            entries.extend(library.entries()?.into_iter().cloned());
         }
-        let (own, shared) = first.tensor_bytes();
+        let (own, shared) = first.tensor_bytes()?;
         Ok(Model {
             name: first.kind().name().to_owned(),
             kind: first.kind().name(),
             file: first.path().to_owned(),
             sha256: hashes,
             files: libraries.iter().map(|library| library.path().to_owned()).collect(),
-            entries: libraries.iter().flat_map(|library| library.entries().to_vec()).collect(),
+            entries,
             bytes: (own + shared, 0),
             fit_seconds: None,
         })

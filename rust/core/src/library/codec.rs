@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
+use safetensors::tensor::Dtype;
 use serde_json::Value;
 
-use super::container::{Tensor, Tensors, layer_at};
+use super::container::{Latents, Rows, Tensor, Tensors};
 use crate::kernels::network::{Activation, Network};
 use crate::microfacet::Microfacet;
 use crate::models::Model;
@@ -29,8 +30,8 @@ pub(crate) trait Codec: Model {
     /// The tensors of a library's materials; none if a library cannot hold the model.
     fn encode(materials: &[&Self]) -> Vec<Tensor>;
 
-    /// The materials of a file.
-    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String>;
+    /// What reads the materials of a file, whose shared parts it has read and checked.
+    fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String>;
 
     /// Whether two materials can stand in one library, beyond having the same form and network sizes.
     fn check_together(&self, _: &Self) -> Result<(), String> {
@@ -38,14 +39,17 @@ pub(crate) trait Codec: Model {
     }
 }
 
+/// Reads the material of a number.
+pub(crate) type Decoder<M> = Box<dyn Fn(usize) -> Result<M, String> + Send + Sync>;
+
 impl Codec for Ggx {
     fn encode(materials: &[&Self]) -> Vec<Tensor> {
         microfacet_tensors("", materials.iter().map(|m| *m.microfacet()).collect())
     }
 
-    fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         let microfacets = file.microfacets("")?;
-        file.each(|i| Ggx::new(microfacets[i]))
+        Ok(Box::new(move |i| Ggx::new(microfacets.at(i)?)))
     }
 }
 
@@ -67,23 +71,25 @@ impl Codec for Hybrid {
         tensors
     }
 
-    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String> {
         let form = form.ok_or("its metadata has no \"form\", which a hybrid library needs")?;
         let form: Form = serde::Deserialize::deserialize(form)
             .map_err(|e| format!("its \"glimt\" metadata is broken: the form: {e}"))?;
-        let (microfacets, latents, bounds) =
-            (file.microfacets("")?, file.latents("latent")?, file.numbers("bound")?);
+        let (microfacets, latents) = (file.microfacets("")?, file.latents("latent")?);
+        let bounds = file.rows("bound", &[])?;
         let networks = file.networks(form.features(), Activation::HardGelu)?;
-        let material = |i: usize, p, z| Hybrid::new(form, networks[i].clone(), p, z, bounds[i]);
-        let Some(fitted) = file.fitted()? else {
-            return file.each(|i| material(i, microfacets[i], latents[i].clone()));
-        };
-        let origins = file.microfacets(FITTED)?;
-        file.each(|i| {
-            let (origin, fitted) = (origins[i], fitted[i].clone());
-            let base = material(i, origin, fitted.latent.clone())?;
-            base.edited(origin, fitted, microfacets[i], latents[i].clone())
-        })
+        let fitted = file.fitted()?.map(|fitted| Ok::<_, String>((file.microfacets(FITTED)?, fitted)));
+        let fitted = fitted.transpose()?;
+        Ok(Box::new(move |i| {
+            let (network, bound) = (networks.of_material(i)?, bounds.number(i)?);
+            let (microfacet, latent) = (microfacets.at(i)?, latents.row(i)?);
+            let Some((origins, fitted)) = &fitted else {
+                return Hybrid::new(form, network, microfacet, latent, bound);
+            };
+            let (origin, fitted) = (origins.at(i)?, fitted.at(i)?);
+            let base = Hybrid::new(form, network, origin, fitted.latent.clone(), bound)?;
+            base.edited(origin, fitted, microfacet, latent)
+        }))
     }
 }
 
@@ -106,23 +112,23 @@ impl Codec for Neural {
         tensors
     }
 
-    fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
-        let (latents, bounds) = (file.latents("latent")?, file.numbers("bound")?);
+    fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
+        let (latents, bounds) = (file.latents("latent")?, file.rows("bound", &[])?);
         let networks = file.networks(neural::FEATURES, Activation::HardGelu)?;
-        let frames = layer_at(&[file.take("frames.weight")?, file.take("frames.bias")?], None, 0)?;
-        if networks.iter().any(|network| !Arc::ptr_eq(network, &networks[0])) {
+        let frames = file.layer("frames", None, &[Dtype::F32])?.at(0)?;
+        if networks.count() > 1 {
             return Err(
                 "it has one network per material, expected one for all, as its model is neural".into()
             );
         }
-        let network = Arc::unwrap_or_clone(networks[0].clone());
-        let shared = Arc::new(Shared { network, frames });
+        let shared = Arc::new(Shared { network: Network::clone(&*networks.at(0)?), frames });
         let fitted = file.fitted()?;
-        file.each(|i| match &fitted {
-            None => Neural::new(shared.clone(), latents[i].clone(), bounds[i]),
-            Some(fitted) => Neural::new(shared.clone(), fitted[i].latent.clone(), bounds[i])?
-                .recoded(fitted[i].clone(), latents[i].clone()),
-        })
+        Ok(Box::new(move |i| {
+            let (shared, latent, bound) = (shared.clone(), latents.row(i)?, bounds.number(i)?);
+            let Some(fitted) = &fitted else { return Neural::new(shared, latent, bound) };
+            let fitted = fitted.at(i)?;
+            Neural::new(shared, fitted.latent.clone(), bound)?.recoded(fitted, latent)
+        }))
     }
 
     fn check_together(&self, other: &Self) -> Result<(), String> {
@@ -140,9 +146,9 @@ impl Codec for Nbrdf {
         layers_tensors(&networks, true)
     }
 
-    fn decode(file: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         let networks = file.networks(nbrdf::FEATURES, Activation::Relu)?;
-        file.each(|i| Nbrdf::new(networks[i].clone()))
+        Ok(Box::new(move |i| Nbrdf::new(networks.of_material(i)?)))
     }
 }
 
@@ -154,7 +160,7 @@ impl Codec for Tabulated {
         Vec::new()
     }
 
-    fn decode(_: &Tensors, _: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(_: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         Err("a library cannot hold measured tables".into())
     }
 }
@@ -174,23 +180,17 @@ impl Codec for Analytic {
         ]
     }
 
-    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String> {
         let lobe = form.and_then(|form| form.get("lobe")).ok_or("its metadata names no \"lobe\"")?;
         let lobe: Lobe = serde::Deserialize::deserialize(lobe)
             .map_err(|e| format!("its \"glimt\" metadata is broken: the lobe: {e}"))?;
-        let diffuse = file.rows::<3>("diffuse")?;
-        let specular = file.take("specular")?;
-        let [materials, width] = specular.shape[..] else {
-            return Err(specular.unexpected_shape("[materials, parameters]"));
-        };
-        if materials != file.materials() || width == 0 {
-            return Err(specular.unexpected_shape(&format!("[{}, parameters]", file.materials())));
-        }
-        file.each(|i| {
-            let numbers: Vec<f64> = specular.data[i * width..][..width].iter().map(|&x| x.into()).collect();
+        let diffuse = file.rows("diffuse", &[3])?;
+        let specular = file.rows_of_any_width("specular", "parameters")?;
+        Ok(Box::new(move |i| {
+            let numbers: Vec<f64> = specular.row(i)?.iter().map(|&x| x.into()).collect();
             let specular = Specular::from_numbers(lobe, &numbers)?;
-            Analytic::new(Parameters { diffuse: diffuse[i].map(f64::from), specular })
-        })
+            Analytic::new(Parameters { diffuse: diffuse.array(i)?.map(f64::from), specular })
+        }))
     }
 }
 
@@ -223,32 +223,58 @@ fn fitted_tensors(fitted: &[Fitted]) -> Vec<Tensor> {
     tensors
 }
 
-impl Tensors<'_> {
-    fn microfacets(&self, prefix: &str) -> Result<Vec<Microfacet>, String> {
+/// k_d, η and α of a file.
+struct Microfacets {
+    kd: Rows,
+    eta: Rows,
+    /// One number where all materials are isotropic, else two.
+    alpha: Rows,
+    is_isotropic: bool,
+}
+
+impl Microfacets {
+    fn at(&self, i: usize) -> Result<Microfacet, String> {
+        let alpha = if self.is_isotropic { [self.alpha.number(i)?; 2] } else { self.alpha.array(i)? };
+        Ok(Microfacet { kd: self.kd.array(i)?, eta: self.eta.array(i)?, alpha })
+    }
+}
+
+/// What the edited materials of a file were made of.
+struct FittedParts {
+    albedos: Rows,
+    latents: Latents,
+    mixed: Rows,
+}
+
+impl FittedParts {
+    fn at(&self, i: usize) -> Result<Fitted, String> {
+        let mut ends = [[0.0; 3]; KNOTS];
+        ends.as_flattened_mut().copy_from_slice(&self.albedos.array::<{ 3 * KNOTS }>(i)?);
+        let origin = if self.mixed.number(i)? > 0.0 { Origin::Mix(Box::new(ends)) } else { Origin::Fit };
+        Ok(Fitted { latent: self.latents.row(i)?, origin })
+    }
+}
+
+impl Tensors {
+    fn microfacets(&self, prefix: &str) -> Result<Microfacets, String> {
         let name = |name| format!("{prefix}{name}");
-        let (kd, eta) = (self.rows(&name("kd"))?, self.rows(&name("eta"))?);
-        let alpha = match self.rows::<1>(&name("alpha")) {
-            Ok(alpha) => alpha.into_iter().map(|[a]| [a, a]).collect(),
-            Err(_) => self.rows::<2>(&name("alpha"))?,
-        };
-        Ok((0..self.materials()).map(|i| Microfacet { kd: kd[i], eta: eta[i], alpha: alpha[i] }).collect())
+        let (kd, eta) = (self.rows(&name("kd"), &[3])?, self.rows(&name("eta"), &[3])?);
+        let isotropic = self.rows(&name("alpha"), &[1]);
+        let is_isotropic = isotropic.is_ok();
+        let alpha = isotropic.or_else(|_| self.rows(&name("alpha"), &[2]))?;
+        Ok(Microfacets { kd, eta, alpha, is_isotropic })
     }
 
     /// What edited materials were made of; `None` where a file holds none.
-    fn fitted(&self) -> Result<Option<Vec<Fitted>>, String> {
-        const NUMBERS: usize = 3 * KNOTS;
+    fn fitted(&self) -> Result<Option<FittedParts>, String> {
         if !self.has("fitted.albedo") {
             return Ok(None);
         }
-        let albedos = self.rows::<NUMBERS>("fitted.albedo")?;
-        let (latents, mixed) = (self.latents("fitted.latent")?, self.numbers("fitted.mixed")?);
-        let of = |i: usize| {
-            let mut ends = [[0.0; 3]; KNOTS];
-            ends.as_flattened_mut().copy_from_slice(&albedos[i]);
-            let origin = if mixed[i] > 0.0 { Origin::Mix(Box::new(ends)) } else { Origin::Fit };
-            Fitted { latent: latents[i].clone(), origin }
-        };
-        Ok(Some((0..self.materials()).map(of).collect()))
+        Ok(Some(FittedParts {
+            albedos: self.rows("fitted.albedo", &[3 * KNOTS])?,
+            latents: self.latents("fitted.latent")?,
+            mixed: self.rows("fitted.mixed", &[])?,
+        }))
     }
 }
 

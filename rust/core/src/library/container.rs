@@ -1,9 +1,12 @@
-//! The container: named, typed tensors, checked as they are taken from a file.
+//! The container: named, typed tensors. Of a file that is read, the header is in memory and the numbers stay where they
+//! are until they are asked for, and are checked then.
 
-use std::sync::Arc;
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use half::f16;
-use safetensors::tensor::{Dtype, SafeTensors};
+use safetensors::tensor::{Dtype, Metadata, TensorInfo};
 
 use crate::kernels::network::{Activation, Layer, Network};
 
@@ -46,158 +49,314 @@ impl Tensor {
     }
 }
 
-/// A float32 tensor of a file.
-pub(crate) struct Numbers {
-    pub name: String,
-    pub shape: Vec<usize>,
-    pub data: Vec<f32>,
+/// Where the bytes of a file are.
+pub(crate) enum Content {
+    /// All of them.
+    Memory(Vec<u8>),
+    /// In a file that is open.
+    File(Mutex<Box<dyn Stream>>),
 }
 
-impl Numbers {
-    pub fn unexpected_shape(&self, expected: &str) -> String {
-        format!("the tensor \"{}\" has shape {:?}, expected {expected}", self.name, self.shape)
+/// What bytes are read from.
+pub(crate) trait Stream: Read + Seek + Send {}
+
+impl<S: Read + Seek + Send> Stream for S {}
+
+impl Content {
+    /// The bytes at these places.
+    fn read(&self, places: Range<usize>) -> Result<Vec<u8>, String> {
+        const CUT_OFF: &str = "it was cut off while it was open";
+        match self {
+            Content::Memory(bytes) => Ok(bytes.get(places).ok_or(CUT_OFF)?.to_vec()),
+            Content::File(stream) => {
+                // A read that panicked left nothing behind: every read says where it begins.
+                let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut bytes = vec![0; places.len()];
+                let read = stream
+                    .seek(SeekFrom::Start(places.start as u64))
+                    .and_then(|_| stream.read_exact(&mut bytes));
+                read.map_err(|error| format!("{CUT_OFF} or cannot be read: {error}"))?;
+                Ok(bytes)
+            }
+        }
+    }
+}
+
+/// Bytes before the header, which say how long it is.
+const LENGTH: usize = size_of::<u64>();
+
+/// Longest header that is read: that of a million materials.
+const MAX_HEADER: usize = 1 << 28;
+
+/// The header of a file of `size` bytes, and where the tensors begin.
+pub(crate) fn read_header(content: &Content, size: usize) -> Result<(Metadata, usize), String> {
+    let broken = |why: &dyn std::fmt::Display| {
+        format!("as a safetensors file of {size} bytes it is broken or cut off: {why}")
+    };
+    if size < LENGTH {
+        return Err(broken(&"it is shorter than the length of a header"));
+    }
+    let length = content.read(0..LENGTH)?.first_chunk().map_or(0, |&bytes| u64::from_le_bytes(bytes));
+    let length = usize::try_from(length).ok().filter(|&length| length <= MAX_HEADER.min(size - LENGTH));
+    let length = length.ok_or_else(|| broken(&"its header is longer than itself"))?;
+    let start = LENGTH + length;
+    let metadata: Metadata =
+        serde_json::from_slice(&content.read(LENGTH..start)?).map_err(|error| broken(&error))?;
+    match metadata.data_len() {
+        expected if size - start == expected => Ok((metadata, start)),
+        expected => {
+            Err(broken(&format!("its tensors have {expected} bytes, but {} follow the header", size - start)))
+        }
     }
 }
 
 /// A file's tensors by name, checked as they are taken.
-pub(crate) struct Tensors<'a> {
-    pub file: SafeTensors<'a>,
-    /// Names of the materials.
-    pub names: Vec<&'a str>,
-    /// The activation of the networks, where the header says it.
-    pub activation: Option<Activation>,
+#[derive(Clone)]
+pub(crate) struct Tensors {
+    file: Arc<File>,
 }
 
-impl Tensors<'_> {
-    pub fn materials(&self) -> usize {
-        self.names.len()
+struct File {
+    content: Content,
+    metadata: Metadata,
+    /// Where the tensors begin.
+    start: usize,
+    materials: usize,
+    activation: Option<Activation>,
+}
+
+impl Tensors {
+    /// Of a file with that header; `activation` is that of the networks, where the header says it.
+    pub fn new(
+        content: Content,
+        (metadata, start): (Metadata, usize),
+        materials: usize,
+        activation: Option<Activation>,
+    ) -> Tensors {
+        Tensors { file: Arc::new(File { content, metadata, start, materials, activation }) }
     }
 
-    /// One material for each name; an error names the material.
-    pub fn each<M>(&self, material: impl Fn(usize) -> Result<M, String>) -> Result<Vec<M>, String> {
-        let named = |i: usize| material(i).map_err(|e| format!("material \"{}\": {e}", self.names[i]));
-        (0..self.materials()).map(named).collect()
+    pub fn materials(&self) -> usize {
+        self.file.materials
     }
 
     pub fn has(&self, name: &str) -> bool {
-        self.file.tensor(name).is_ok()
+        self.file.metadata.info(name).is_some()
+    }
+
+    /// A tensor whose numbers are of one of `types`.
+    pub fn info(&self, name: &str, types: &[Dtype]) -> Result<&TensorInfo, String> {
+        let info =
+            self.file.metadata.info(name).ok_or_else(|| format!("the tensor \"{name}\" is missing"))?;
+        if !types.contains(&info.dtype) {
+            let expected: Vec<String> = types.iter().map(|t| format!("{t:?}")).collect();
+            let expected = expected.join(" or ");
+            return Err(format!("the tensor \"{name}\" is {:?}, expected {expected}", info.dtype));
+        }
+        Ok(info)
+    }
+
+    /// Bytes of a tensor, from its begin.
+    pub fn part(&self, name: &str, part: Range<usize>) -> Result<Vec<u8>, String> {
+        let info =
+            self.file.metadata.info(name).ok_or_else(|| format!("the tensor \"{name}\" is missing"))?;
+        let start = self.file.start + info.data_offsets.0;
+        self.file.content.read(start + part.start..start + part.end)
     }
 
     /// The bytes of a tensor whose numbers are of one of `types`, and its shape.
-    pub fn bytes(&self, name: &str, types: &[Dtype]) -> Result<(Dtype, Vec<usize>, &[u8]), String> {
-        let view = self.file.tensor(name).map_err(|_| format!("the tensor \"{name}\" is missing"))?;
-        if !types.contains(&view.dtype()) {
-            let expected: Vec<String> = types.iter().map(|t| format!("{t:?}")).collect();
-            return Err(format!(
-                "the tensor \"{name}\" is {:?}, expected {}",
-                view.dtype(),
-                expected.join(" or ")
-            ));
-        }
-        Ok((view.dtype(), view.shape().to_vec(), view.data()))
+    pub fn bytes(&self, name: &str, types: &[Dtype]) -> Result<(Vec<usize>, Vec<u8>), String> {
+        let info = self.info(name, types)?;
+        let (begin, end) = info.data_offsets;
+        Ok((info.shape.clone(), self.part(name, 0..end - begin)?))
     }
 
-    pub fn take(&self, name: &str) -> Result<Numbers, String> {
-        self.floats(name, &[Dtype::F32])
+    /// A tensor with a row of `shape` for each material.
+    pub fn rows(&self, name: &str, shape: &[usize]) -> Result<Rows, String> {
+        let info = self.info(name, &[Dtype::F32])?;
+        let expected = [&[self.materials()], shape].concat();
+        if info.shape != expected {
+            return Err(unexpected_shape(name, &info.shape, &format!("{expected:?}")));
+        }
+        Ok(Rows::new(self, name, info, shape.iter().product()))
     }
 
-    /// A tensor of float32 or, where `types` has it, float16.
-    pub fn floats(&self, name: &str, types: &[Dtype]) -> Result<Numbers, String> {
-        let (dtype, shape, bytes) = self.bytes(name, types)?;
-        // Copied float by float: the bytes in a file have no alignment to rely on.
-        let data: Vec<f32> = match dtype {
-            Dtype::F16 => bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b).to_f32()).collect(),
-            _ => bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect(),
-        };
-        if let Some(at) = data.iter().position(|x| !x.is_finite()) {
-            return Err(format!(
-                "the tensor \"{name}\" holds {} at index {at}, expected finite numbers",
-                data[at]
-            ));
+    /// A tensor with a row for each material, as long as it is; `what` a row is called.
+    pub fn rows_of_any_width(&self, name: &str, what: &str) -> Result<Rows, String> {
+        let info = self.info(name, &[Dtype::F32])?;
+        match info.shape[..] {
+            [materials, width] if materials == self.materials() && width > 0 => {
+                Ok(Rows::new(self, name, info, width))
+            }
+            _ => Err(unexpected_shape(name, &info.shape, &format!("[{}, {what}]", self.materials()))),
         }
-        Ok(Numbers { name: name.to_owned(), shape, data })
-    }
-
-    /// A tensor with a row of `width` numbers per material.
-    pub fn rows<const WIDTH: usize>(&self, name: &str) -> Result<Vec<[f32; WIDTH]>, String> {
-        let tensor = self.take(name)?;
-        if tensor.shape != [self.materials(), WIDTH] {
-            return Err(tensor.unexpected_shape(&format!("[{}, {WIDTH}]", self.materials())));
-        }
-        Ok(tensor.data.as_chunks().0.to_vec())
     }
 
     /// Latent codes; none where the file has none, which is so where every material has a network.
-    pub fn latents(&self, name: &str) -> Result<Vec<Vec<f32>>, String> {
-        if !self.has(name) {
-            return Ok(vec![Vec::new(); self.materials()]);
-        }
-        let tensor = self.take(name)?;
-        match tensor.shape[..] {
-            [materials, width] if materials == self.materials() && width > 0 => {
-                Ok(tensor.data.chunks_exact(width).map(<[f32]>::to_vec).collect())
-            }
-            _ => Err(tensor.unexpected_shape(&format!("[{}, l]", self.materials()))),
-        }
-    }
-
-    /// A tensor with one number per material.
-    pub fn numbers(&self, name: &str) -> Result<Vec<f32>, String> {
-        let tensor = self.take(name)?;
-        if tensor.shape != [self.materials()] {
-            return Err(tensor.unexpected_shape(&format!("[{}]", self.materials())));
-        }
-        Ok(tensor.data)
+    pub fn latents(&self, name: &str) -> Result<Latents, String> {
+        let rows = self.has(name).then(|| self.rows_of_any_width(name, "l")).transpose()?;
+        Ok(Latents(rows))
     }
 
     /// The activation of the networks. Files of version 1 that do not say it hold networks of the one that every
     /// network of the model then had.
     pub fn activation_or(&self, unsaid: Activation) -> Activation {
-        self.activation.unwrap_or(unsaid)
+        self.file.activation.unwrap_or(unsaid)
     }
 
-    /// One network per material, the same one where they share it; `unsaid` as for [`Tensors::activation_or`].
-    pub fn networks(&self, features: usize, unsaid: Activation) -> Result<Vec<Arc<Network>>, String> {
-        let activation = self.activation_or(unsaid);
-        let mut stacks: Vec<[Numbers; 2]> = Vec::new();
-        while self.has(&format!("network.{}.weight", stacks.len())) {
-            let i = stacks.len();
-            stacks
-                .push([self.take(&format!("network.{i}.weight"))?, self.take(&format!("network.{i}.bias"))?]);
-        }
-        let own = stacks.first().is_some_and(|[weight, _]| weight.shape.len() == 3);
+    /// One network for each material or one for all; `unsaid` as for [`Tensors::activation_or`].
+    pub fn networks(&self, features: usize, unsaid: Activation) -> Result<Networks, String> {
+        let first = self.file.metadata.info("network.0.weight");
+        let own = first.is_some_and(|weight| weight.shape.len() == 3);
         let count = if own { self.materials() } else { 1 };
-        let build = |index: usize| {
-            let layers = stacks.iter().map(|stack| layer_at(stack, own.then_some(count), index));
-            Network::new(layers.collect::<Result<_, _>>()?, features, activation).map(Arc::new)
-        };
-        let networks = (0..count).map(build).collect::<Result<Vec<_>, _>>()?;
-        Ok((0..self.materials()).map(|i| networks[if own { i } else { 0 }].clone()).collect())
+        self.stacked_networks(own.then_some(count), features, self.activation_or(unsaid), &[Dtype::F32])
+    }
+
+    /// As many networks as `count` says, along the first axis of their tensors; one without such an axis if it is
+    /// `None`.
+    pub fn stacked_networks(
+        &self,
+        count: Option<usize>,
+        features: usize,
+        activation: Activation,
+        types: &[Dtype],
+    ) -> Result<Networks, String> {
+        let mut layers = Vec::new();
+        while self.has(&format!("network.{}.weight", layers.len())) {
+            layers.push(self.layer(&format!("network.{}", layers.len()), count, types)?);
+        }
+        let made = (0..count.unwrap_or(1)).map(|_| OnceLock::new()).collect();
+        let networks = Networks { layers, features, activation, made };
+        // What is wrong with one that all share is wrong with the file.
+        if networks.count() == 1 {
+            networks.at(0)?;
+        }
+        Ok(networks)
+    }
+
+    /// The layer of `prefix`.weight, (out, in), and `prefix`.bias, (out); of `count` networks along a first axis.
+    pub fn layer(&self, prefix: &str, count: Option<usize>, types: &[Dtype]) -> Result<StackedLayer, String> {
+        let names = [format!("{prefix}.weight"), format!("{prefix}.bias")];
+        let [weight, bias] = [self.info(&names[0], types)?, self.info(&names[1], types)?];
+        let axes = usize::from(count.is_some());
+        let fits = weight.shape.len() == axes + 2
+            && bias.shape.len() == axes + 1
+            && weight.shape[..=axes] == bias.shape[..]
+            && count.is_none_or(|n| weight.shape[0] == n)
+            && !weight.shape.contains(&0);
+        if !fits {
+            return Err(format!(
+                "{} of shape {:?} and {} of shape {:?} do not make a layer",
+                names[0], weight.shape, names[1], bias.shape
+            ));
+        }
+        let rows =
+            |name: &str, info: &TensorInfo| Rows::new(self, name, info, info.shape[axes..].iter().product());
+        Ok(StackedLayer { weight: rows(&names[0], weight), bias: rows(&names[1], bias) })
     }
 }
 
-/// One network's layer from the tensors of all: weight (n, out, in) and bias (n, out), or without
-/// the first axis.
-pub(crate) fn layer_at(
-    [weight, bias]: &[Numbers; 2],
-    count: Option<usize>,
-    index: usize,
-) -> Result<Layer, String> {
-    let axes = usize::from(count.is_some());
-    let fits = weight.shape.len() == axes + 2
-        && bias.shape.len() == axes + 1
-        && weight.shape[..=axes] == bias.shape[..]
-        && count.is_none_or(|n| weight.shape[0] == n)
-        && !weight.data.is_empty();
-    if !fits {
-        return Err(format!(
-            "{} of shape {:?} and {} of shape {:?} do not make a layer",
-            weight.name, weight.shape, bias.name, bias.shape
-        ));
+pub(crate) fn unexpected_shape(name: &str, shape: &[usize], expected: &str) -> String {
+    format!("the tensor \"{name}\" has shape {shape:?}, expected {expected}")
+}
+
+/// Bytes as finite numbers, the first of which is number `first` of the tensor.
+fn finite(name: &str, dtype: Dtype, bytes: &[u8], first: usize) -> Result<Vec<f32>, String> {
+    let data: Vec<f32> = match dtype {
+        Dtype::F16 => bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b).to_f32()).collect(),
+        _ => bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect(),
+    };
+    match data.iter().position(|x| !x.is_finite()) {
+        None => Ok(data),
+        Some(at) => Err(format!(
+            "the tensor \"{name}\" holds {} at index {}, expected finite numbers",
+            data[at],
+            first + at
+        )),
     }
-    let (outputs, inputs) = (weight.shape[axes], weight.shape[axes + 1]);
-    Ok(Layer {
-        weight: weight.data[index * outputs * inputs..][..outputs * inputs].to_vec(),
-        bias: bias.data[index * outputs..][..outputs].to_vec(),
-    })
+}
+
+/// A tensor of float32 or float16 in rows of the same length.
+pub(crate) struct Rows {
+    file: Tensors,
+    name: String,
+    dtype: Dtype,
+    width: usize,
+}
+
+impl Rows {
+    fn new(file: &Tensors, name: &str, info: &TensorInfo, width: usize) -> Rows {
+        Rows { file: file.clone(), name: name.to_owned(), dtype: info.dtype, width }
+    }
+
+    /// A row.
+    pub fn row(&self, row: usize) -> Result<Vec<f32>, String> {
+        let bytes = self.width * self.dtype.bitsize() / 8;
+        let bytes = self.file.part(&self.name, row * bytes..(row + 1) * bytes)?;
+        finite(&self.name, self.dtype, &bytes, row * self.width)
+    }
+
+    /// A row of `N` numbers, which the rows have.
+    pub fn array<const N: usize>(&self, row: usize) -> Result<[f32; N], String> {
+        let found =
+            |row: Vec<f32>| format!("a row of \"{}\" has {} numbers, expected {N}", self.name, row.len());
+        self.row(row)?.try_into().map_err(found)
+    }
+
+    /// The number of a row of one.
+    pub fn number(&self, row: usize) -> Result<f32, String> {
+        self.array(row).map(|[number]| number)
+    }
+}
+
+/// Latent codes, where there are any.
+pub(crate) struct Latents(Option<Rows>);
+
+impl Latents {
+    /// A material's code.
+    pub fn row(&self, material: usize) -> Result<Vec<f32>, String> {
+        self.0.as_ref().map_or(Ok(Vec::new()), |rows| rows.row(material))
+    }
+}
+
+/// The same layer of several networks, or that of one.
+pub(crate) struct StackedLayer {
+    weight: Rows,
+    bias: Rows,
+}
+
+impl StackedLayer {
+    /// That of a network.
+    pub fn at(&self, network: usize) -> Result<Layer, String> {
+        Ok(Layer { weight: self.weight.row(network)?, bias: self.bias.row(network)? })
+    }
+}
+
+/// Networks of the same sizes; each is made when it is first asked for.
+pub(crate) struct Networks {
+    layers: Vec<StackedLayer>,
+    features: usize,
+    activation: Activation,
+    made: Vec<OnceLock<Arc<Network>>>,
+}
+
+impl Networks {
+    pub fn count(&self) -> usize {
+        self.made.len()
+    }
+
+    /// A network.
+    pub fn at(&self, index: usize) -> Result<Arc<Network>, String> {
+        if let Some(network) = self.made[index].get() {
+            return Ok(Arc::clone(network));
+        }
+        let layers = self.layers.iter().map(|layer| layer.at(index)).collect::<Result<_, _>>()?;
+        let network = Arc::new(Network::new(layers, self.features, self.activation)?);
+        Ok(Arc::clone(self.made[index].get_or_init(|| network)))
+    }
+
+    /// That of a material: its own, or the one of all.
+    pub fn of_material(&self, material: usize) -> Result<Arc<Network>, String> {
+        self.at(if self.count() == 1 { 0 } else { material })
+    }
 }

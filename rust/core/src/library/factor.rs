@@ -2,9 +2,11 @@
 
 use serde_json::Value;
 
-use super::codec::Codec;
-use super::container::{Tensor, Tensors};
-use crate::models::factor::{Curve, DIFF_BINS, Factor, Factors, Form, HALF_BINS, Product, Variant};
+use super::codec::{Codec, Decoder};
+use super::container::{Rows, Tensor, Tensors};
+use crate::models::factor::{
+    AZIMUTH_BINS, Curve, DIFF_BINS, Factor, Factors, Form, HALF_BINS, MASKING_KNOTS, Product, Variant,
+};
 
 impl Codec for Factor {
     fn form(&self) -> Option<Value> {
@@ -47,41 +49,62 @@ impl Codec for Factor {
         tensors
     }
 
-    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String> {
         let form = form.ok_or("its metadata has no \"form\", which a factor library needs")?;
         let form: Form = serde::Deserialize::deserialize(form)
             .map_err(|e| format!("its \"glimt\" metadata is broken: the form: {e}"))?;
-        let factors: Vec<Factors> = match form.variant {
+        let factors: Decoder<Factors> = match form.variant {
             Variant::IndependentG => {
-                let masking = curves(file, "masking")?;
-                let both = products(file)?.into_iter().zip(masking);
-                both.map(|(product, masking)| Factors::IndependentG { product, masking }).collect()
+                let (products, masking) = (Products::new(file)?, curves_of(file, "masking", MASKING_KNOTS)?);
+                Box::new(move |i| {
+                    Ok(Factors::IndependentG { product: products.at(i)?, masking: curve(&masking, i)? })
+                })
             }
-            Variant::GFromD => products(file)?.into_iter().map(Factors::GFromD).collect(),
+            Variant::GFromD => {
+                let products = Products::new(file)?;
+                Box::new(move |i| products.at(i).map(Factors::GFromD))
+            }
             Variant::Naive => {
-                let azimuth = curves(file, "azimuth")?;
-                let both = products(file)?.into_iter().zip(azimuth);
-                both.map(|(product, azimuth)| Factors::Naive { product, azimuth }).collect()
+                let (products, azimuth) = (Products::new(file)?, curves_of(file, "azimuth", AZIMUTH_BINS)?);
+                Box::new(move |i| {
+                    Ok(Factors::Naive { product: products.at(i)?, azimuth: curve(&azimuth, i)? })
+                })
             }
             Variant::Bivariate => {
-                let table = file.take("bivariate")?;
-                if table.shape != [file.materials(), HALF_BINS, DIFF_BINS, 3] {
-                    return Err(table.unexpected_shape(&format!("[{}, 90, 90, 3]", file.materials())));
-                }
-                let values = table.data.as_chunks::<3>().0;
-                values.chunks_exact(HALF_BINS * DIFF_BINS).map(|t| Factors::Bivariate(t.to_vec())).collect()
+                let tables = file.rows("bivariate", &[HALF_BINS, DIFF_BINS, 3])?;
+                Box::new(move |i| Ok(Factors::Bivariate(tables.row(i)?.as_chunks().0.to_vec())))
             }
         };
-        file.each(|i| Factor::new(factors[i].clone(), form.interpolation))
+        Ok(Box::new(move |i| Factor::new(factors(i)?, form.interpolation)))
     }
 }
 
-fn products(file: &Tensors) -> Result<Vec<Product>, String> {
-    let (diffuse, specular) = (file.rows("diffuse")?, file.rows("specular")?);
-    let (ndf, fresnel) = (curves(file, "ndf")?, curves(file, "fresnel")?);
-    let product =
-        |i: usize| Product { diffuse: diffuse[i], specular: specular[i], ndf: ndf[i], fresnel: fresnel[i] };
-    Ok((0..file.materials()).map(product).collect())
+/// The factors that all variants but one have.
+struct Products {
+    diffuse: Rows,
+    specular: Rows,
+    ndf: Rows,
+    fresnel: Rows,
+}
+
+impl Products {
+    fn new(file: &Tensors) -> Result<Products, String> {
+        Ok(Products {
+            diffuse: file.rows("diffuse", &[3])?,
+            specular: file.rows("specular", &[3])?,
+            ndf: curves_of(file, "ndf", HALF_BINS)?,
+            fresnel: curves_of(file, "fresnel", DIFF_BINS)?,
+        })
+    }
+
+    fn at(&self, i: usize) -> Result<Product, String> {
+        Ok(Product {
+            diffuse: self.diffuse.array(i)?,
+            specular: self.specular.array(i)?,
+            ndf: curve(&self.ndf, i)?,
+            fresnel: curve(&self.fresnel, i)?,
+        })
+    }
 }
 
 /// A curve per material and colour channel; none where no material has it.
@@ -90,11 +113,13 @@ fn curves_tensor<const N: usize>(name: &str, curves: Vec<Curve<N>>) -> Option<Te
     (!curves.is_empty()).then(|| Tensor::own(name, shape, curves.as_flattened().as_flattened()))
 }
 
-fn curves<const N: usize>(file: &Tensors, name: &str) -> Result<Vec<Curve<N>>, String> {
-    let tensor = file.take(name)?;
-    if tensor.shape != [file.materials(), 3, N] {
-        return Err(tensor.unexpected_shape(&format!("[{}, 3, {N}]", file.materials())));
-    }
-    let rows: &[[f32; N]] = tensor.data.as_chunks().0;
-    Ok(rows.as_chunks().0.to_vec())
+fn curves_of(file: &Tensors, name: &str, knots: usize) -> Result<Rows, String> {
+    file.rows(name, &[3, knots])
+}
+
+/// The curve of a material.
+fn curve<const N: usize>(curves: &Rows, i: usize) -> Result<Curve<N>, String> {
+    let mut curve = [[0.0; N]; 3];
+    curve.as_flattened_mut().copy_from_slice(&curves.row(i)?);
+    Ok(curve)
 }

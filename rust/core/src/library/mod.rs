@@ -23,10 +23,12 @@
 //! What a spherical library holds says [`spherical`].
 
 use std::collections::{HashMap, HashSet};
+use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock};
 
 use glimt_disk::write_whole;
-use safetensors::tensor::{SafeTensors, TensorView};
+use safetensors::tensor::TensorView;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -34,8 +36,8 @@ use crate::error::Error;
 use crate::kernels::network::{Activation, Network};
 use crate::material::{Kind, Material, with_kind, with_model};
 
-use codec::Codec;
-use container::{Tensor, Tensors};
+use codec::{Codec, Decoder};
+use container::{Content, Tensor, Tensors, read_header};
 
 mod codec;
 mod container;
@@ -102,7 +104,7 @@ struct Header {
     materials: Vec<MaterialHeader>,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Clone, Serialize, Deserialize)]
 struct MaterialHeader {
     name: String,
     #[serde(flatten)]
@@ -119,6 +121,9 @@ const COLOR_SPACE: &str = "linear sRGB";
 
 /// Materials of one model.
 ///
+/// Of a file that is opened the header is read, and what its materials share. A material is read when it is first
+/// asked for, so that one of thousands costs what one costs; a file that is small is read and checked at once.
+///
 /// ```
 /// use glimt_core::library::{Entry, Origin};
 /// use glimt_core::microfacet::Microfacet;
@@ -126,7 +131,7 @@ const COLOR_SPACE: &str = "linear sRGB";
 /// use glimt_core::{Brdf, Kind, Library, Vec3};
 ///
 /// let shipped = Library::open("../../scenes/models/rgl.safetensors")?;
-/// assert_eq!((shipped.kind(), shipped.entries().len()), (Kind::Hybrid, 12));
+/// assert_eq!((shipped.kind(), shipped.names().len()), (Kind::Hybrid, 12));
 /// let between = shipped.mix("chm_mint", "chm_orange", 0.3)?;
 /// assert!(between.eval(Vec3::Z, Vec3::Z).min_element() >= 0.0);
 ///
@@ -134,14 +139,28 @@ const COLOR_SPACE: &str = "linear sRGB";
 /// let plastic = Ggx::new(Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.1; 2] }).unwrap();
 /// let entry = Entry { name: "plastic".to_owned(), material: plastic.into(), origin: Origin::default() };
 /// let library = Library::new("plastic.safetensors", vec![entry])?;
-/// let read = Library::from_bytes("plastic.safetensors", &library.to_bytes().unwrap())?;
+/// let read = Library::from_bytes("plastic.safetensors", &library.to_bytes()?.unwrap())?;
 /// assert_eq!(read.names(), ["plastic"]);
 /// # Ok::<(), glimt_core::Error>(())
 /// ```
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Library {
     path: PathBuf,
-    entries: Vec<Entry>,
+    kind: Kind,
+    names: Vec<String>,
+    entries: Vec<OnceLock<Entry>>,
+    /// What reads the others; `None` where there are none.
+    file: Option<Arc<Decoder<Entry>>>,
+}
+
+/// Bytes of tensors up to which a file is read at once.
+const SMALL_BYTES: usize = 1 << 16;
+
+impl fmt::Debug for Library {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Library { path, kind, names, .. } = self;
+        f.debug_struct("Library").field("path", path).field("kind", kind).field("names", names).finish()
+    }
 }
 
 impl Library {
@@ -151,47 +170,34 @@ impl Library {
     /// # Errors
     /// [`Error::Format`] if there is no material, a name is empty or that of two, or models differ.
     pub fn new(path: impl Into<PathBuf>, entries: Vec<Entry>) -> Result<Self, Error> {
-        let library = Library { path: path.into(), entries };
-        library.check().map_err(|reason| Error::Format { path: library.path.clone(), reason })?;
-        Ok(library)
+        let path = path.into();
+        check(&entries).map_err(|reason| Error::Format { path: path.clone(), reason })?;
+        Ok(Library {
+            path,
+            kind: entries[0].material.kind(),
+            names: entries.iter().map(|entry| entry.name.clone()).collect(),
+            entries: entries.into_iter().map(OnceLock::from).collect(),
+            file: None,
+        })
     }
 
-    fn check(&self) -> Result<(), String> {
-        let first = &self.entries.first().ok_or("it holds no material")?.material;
-        let mut names = HashSet::new();
-        for entry in &self.entries {
-            if entry.name.is_empty() {
-                return Err("a material's name is empty".into());
-            }
-            if !names.insert(entry.name.as_str()) {
-                return Err(format!("two materials are named \"{}\"", entry.name));
-            }
-            if Architecture::of(&entry.material) != Architecture::of(first) {
-                return Err(format!("\"{}\" and \"{}\" differ in model", self.entries[0].name, entry.name));
-            }
-            let together =
-                with_model!(first.model(), first => first.check_together(model_of(&entry.material)));
-            together.map_err(|e| format!("\"{}\" and \"{}\" {e}", self.entries[0].name, entry.name))?;
-        }
-        Ok(())
-    }
-
-    /// Reads a library.
+    /// Opens a library.
     ///
     /// # Errors
     /// [`Error::Read`], or [`Error::Format`] with what was found and what was expected.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
         let path = path.as_ref().to_path_buf();
-        let read = || {
-            let size = std::fs::metadata(&path)?.len();
+        let open = || {
+            let file = std::fs::File::open(&path)?;
+            let size = file.metadata()?.len();
             if size > MAX_FILE_BYTES {
                 let message = format!("it has {size} bytes; a model library has at most {MAX_FILE_BYTES}");
                 return Err(std::io::Error::other(message));
             }
-            std::fs::read(&path)
+            Ok((file, size as usize))
         };
-        let bytes = read().map_err(|source| Error::Read { path: path.clone(), source })?;
-        Library::from_bytes(path, &bytes)
+        let (file, size) = open().map_err(|source| Error::Read { path: path.clone(), source })?;
+        Library::from_content(path, Content::File(Mutex::new(Box::new(file))), size)
     }
 
     /// Decodes the bytes of a library; `path` is what messages name.
@@ -199,9 +205,19 @@ impl Library {
     /// # Errors
     /// [`Error::Format`] with what was found and what was expected.
     pub fn from_bytes(path: impl Into<PathBuf>, bytes: &[u8]) -> Result<Self, Error> {
-        let path = path.into();
-        let entries = decode(bytes).map_err(|reason| Error::Format { path: path.clone(), reason })?;
-        Library::new(path, entries)
+        Library::from_content(path.into(), Content::Memory(bytes.to_vec()), bytes.len())
+    }
+
+    fn from_content(path: PathBuf, content: Content, size: usize) -> Result<Self, Error> {
+        let opened =
+            OpenFile::new(content, size).map_err(|reason| Error::Format { path: path.clone(), reason })?;
+        let OpenFile { kind, names, decoder, tensor_bytes } = opened;
+        let entries = names.iter().map(|_| OnceLock::new()).collect();
+        let library = Library { path, kind, names, entries, file: Some(Arc::new(decoder)) };
+        if tensor_bytes <= SMALL_BYTES {
+            library.entries()?;
+        }
+        Ok(library)
     }
 
     /// Writes the library to its path: whole, or not at all.
@@ -210,7 +226,7 @@ impl Library {
     /// [`Error::Write`], for measured tables too: a library cannot hold them.
     pub fn save(&self) -> Result<(), Error> {
         let error = |source| Error::Write { path: self.path.clone(), source };
-        let bytes = self.to_bytes().ok_or_else(|| {
+        let bytes = self.to_bytes()?.ok_or_else(|| {
             let reason = "a library cannot hold a measurement; fit a model to it with glimt fit";
             error(std::io::Error::other(reason))
         })?;
@@ -218,9 +234,12 @@ impl Library {
     }
 
     /// The bytes that [`Library::from_bytes`] reads; `None` for measured tables, which a library cannot hold.
-    #[must_use]
-    pub fn to_bytes(&self) -> Option<Vec<u8>> {
-        with_kind!(self.kind(), Stored => Stored::STORED).then(|| self.encode())
+    ///
+    /// # Errors
+    /// As [`Library::entries`].
+    pub fn to_bytes(&self) -> Result<Option<Vec<u8>>, Error> {
+        let entries = self.entries()?;
+        Ok(with_kind!(self.kind, Stored => Stored::STORED).then(|| encode(&entries)))
     }
 
     /// Where the library was read from or will be written.
@@ -229,41 +248,67 @@ impl Library {
         &self.path
     }
 
-    /// The materials in the file's order.
-    #[must_use]
-    pub fn entries(&self) -> &[Entry] {
-        &self.entries
+    /// The materials in the file's order, of which there is one at least.
+    ///
+    /// # Errors
+    /// [`Error::Format`] with what is wrong with a material that had not been asked for before.
+    pub fn entries(&self) -> Result<Vec<&Entry>, Error> {
+        (0..self.entries.len()).map(|i| self.at(i)).collect()
     }
 
     /// The model.
     #[must_use]
     pub fn kind(&self) -> Kind {
-        self.entries[0].material.kind()
+        self.kind
     }
 
     /// Names of the materials in the file's order.
     #[must_use]
     pub fn names(&self) -> Vec<String> {
-        self.entries.iter().map(|entry| entry.name.clone()).collect()
+        self.names.clone()
+    }
+
+    /// The first material.
+    ///
+    /// # Errors
+    /// As [`Library::entries`].
+    pub fn first(&self) -> Result<&Entry, Error> {
+        self.at(0)
+    }
+
+    /// The material of a number, which the library has.
+    fn at(&self, index: usize) -> Result<&Entry, Error> {
+        if let Some(entry) = self.entries[index].get() {
+            return Ok(entry);
+        }
+        let decode = self.file.as_ref().expect("what is not in memory is in a file");
+        let entry = decode(index).map_err(|reason| {
+            let reason = format!("material \"{}\": {reason}", self.names[index]);
+            Error::Format { path: self.path.clone(), reason }
+        })?;
+        // Whoever was first is kept, so that all have the same network and sampler.
+        Ok(self.entries[index].get_or_init(|| entry))
     }
 
     /// The entry of that name; the only one if `name` is `None` and the library holds one.
     ///
     /// # Errors
-    /// [`Error::UnknownMaterial`] with the nearest names, [`Error::MaterialNotNamed`].
+    /// [`Error::UnknownMaterial`] with the nearest names, [`Error::MaterialNotNamed`], and as
+    /// [`Library::entries`].
     pub fn entry(&self, name: Option<&str>) -> Result<&Entry, Error> {
         let Some(name) = name else {
-            return match &self.entries[..] {
-                [only] => Ok(only),
-                _ => Err(Error::MaterialNotNamed { path: self.path.clone(), materials: self.names() }),
+            return match self.names.len() {
+                1 => self.at(0),
+                _ => Err(Error::MaterialNotNamed { path: self.path.clone(), materials: self.names.clone() }),
             };
         };
-        self.entries.iter().find(|entry| entry.name == name).ok_or_else(|| Error::UnknownMaterial {
+        let index = self.names.iter().position(|known| known == name);
+        self.at(index.ok_or_else(|| Error::UnknownMaterial {
             path: self.path.clone(),
             name: name.to_owned(),
-            nearest: nearest(name, self.entries.iter().map(|entry| entry.name.as_str())),
-            materials: self.names(),
-        })
+            nearest: nearest(name, self.names.iter().map(String::as_str)),
+            materials: self.names.clone(),
+        })?)
     }
 
     /// The material of that name, as [`Library::entry`].
@@ -286,62 +331,92 @@ impl Library {
     }
 
     /// Bytes of the tensors that one material has of its own, and of those that all share.
-    #[must_use]
-    pub fn tensor_bytes(&self) -> (usize, usize) {
+    ///
+    /// # Errors
+    /// As [`Library::entries`].
+    pub fn tensor_bytes(&self) -> Result<(usize, usize), Error> {
         let (mut own, mut shared) = (0, 0);
-        for tensor in self.tensors() {
+        for tensor in tensors(&self.entries()?) {
             if tensor.shared {
                 shared += tensor.bytes.len();
             } else {
                 own += tensor.bytes.len();
             }
         }
-        (own / self.entries.len(), shared)
+        Ok((own / self.names.len(), shared))
     }
 
     /// Whether one network serves all materials.
-    #[must_use]
-    pub fn shares_network(&self) -> bool {
+    ///
+    /// # Errors
+    /// As [`Library::entries`].
+    pub fn shares_network(&self) -> Result<bool, Error> {
         let address = |entry: &Entry| entry.material.network().map(std::ptr::from_ref);
-        let first = address(&self.entries[0]);
-        self.kind() != Kind::Nbrdf
-            && first.is_some()
-            && self.entries.iter().all(|entry| address(entry) == first)
+        let entries = self.entries()?;
+        let first = address(entries[0]);
+        Ok(self.kind != Kind::Nbrdf && first.is_some() && entries.iter().all(|entry| address(entry) == first))
     }
+}
 
-    /// The file's bytes.
-    fn encode(&self) -> Vec<u8> {
-        let header = Header {
-            format: FORMAT_VERSION,
-            kind: self.kind().name().to_owned(),
-            color_space: COLOR_SPACE.to_owned(),
-            form: form(&self.entries[0].material),
-            activation: activation(&self.entries[0].material).map(|activation| activation.name().to_owned()),
-            materials: self
-                .entries
-                .iter()
-                .map(|entry| MaterialHeader { name: entry.name.clone(), origin: entry.origin.clone() })
-                .collect(),
-        };
-        let json = serde_json::to_string(&header).expect("strings and numbers always serialise");
-        let tensors = self.tensors();
-        let views = tensors.iter().map(|tensor| {
-            let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
-            (tensor.name.clone(), view.expect("the shape is made from the data"))
-        });
-        let metadata = HashMap::from([("glimt".to_owned(), json)]);
-        safetensors::serialize(views, Some(metadata)).expect("names and shapes are valid")
-    }
-
-    fn tensors(&self) -> Vec<Tensor> {
-        fn encode<'a, M: Codec + 'a>(_: &M, entries: &'a [Entry]) -> Vec<Tensor>
-        where
-            &'a M: TryFrom<&'a Material>,
-        {
-            M::encode(&entries.iter().map(|entry| model_of(&entry.material)).collect::<Vec<_>>())
+/// Whether these can be a library.
+fn check(entries: &[Entry]) -> Result<(), String> {
+    let first = &entries.first().ok_or("it holds no material")?.material;
+    check_names(entries.iter().map(|entry| entry.name.as_str()))?;
+    for entry in entries {
+        if Architecture::of(&entry.material) != Architecture::of(first) {
+            return Err(format!("\"{}\" and \"{}\" differ in model", entries[0].name, entry.name));
         }
-        with_model!(self.entries[0].material.model(), first => encode(first, &self.entries))
+        let together = with_model!(first.model(), first => first.check_together(model_of(&entry.material)));
+        together.map_err(|e| format!("\"{}\" and \"{}\" {e}", entries[0].name, entry.name))?;
     }
+    Ok(())
+}
+
+fn check_names<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), String> {
+    let mut known = HashSet::new();
+    for name in names {
+        if name.is_empty() {
+            return Err("a material's name is empty".into());
+        }
+        if !known.insert(name) {
+            return Err(format!("two materials are named \"{name}\""));
+        }
+    }
+    Ok(())
+}
+
+/// The bytes of a file of `entries`, whose model a library can hold.
+fn encode(entries: &[&Entry]) -> Vec<u8> {
+    let first = &entries[0].material;
+    let header = Header {
+        format: FORMAT_VERSION,
+        kind: first.kind().name().to_owned(),
+        color_space: COLOR_SPACE.to_owned(),
+        form: form(first),
+        activation: activation(first).map(|activation| activation.name().to_owned()),
+        materials: entries
+            .iter()
+            .map(|entry| MaterialHeader { name: entry.name.clone(), origin: entry.origin.clone() })
+            .collect(),
+    };
+    let json = serde_json::to_string(&header).expect("strings and numbers always serialise");
+    let tensors = tensors(entries);
+    let views = tensors.iter().map(|tensor| {
+        let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
+        (tensor.name.clone(), view.expect("the shape is made from the data"))
+    });
+    let metadata = HashMap::from([("glimt".to_owned(), json)]);
+    safetensors::serialize(views, Some(metadata)).expect("names and shapes are valid")
+}
+
+fn tensors(entries: &[&Entry]) -> Vec<Tensor> {
+    fn encode<'a, M: Codec + 'a>(_: &M, entries: &[&'a Entry]) -> Vec<Tensor>
+    where
+        &'a M: TryFrom<&'a Material>,
+    {
+        M::encode(&entries.iter().map(|entry| model_of(&entry.material)).collect::<Vec<_>>())
+    }
+    with_model!(entries[0].material.model(), first => encode(first, entries))
 }
 
 /// The model in a material of a library, all of whose materials are of that model.
@@ -378,16 +453,48 @@ impl Architecture {
     }
 }
 
-fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
-    let container = |e: safetensors::SafeTensorError| {
-        format!("as a safetensors file of {} bytes it is broken or cut off: {e}", bytes.len())
-    };
-    let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
-    let json = metadata
-        .metadata()
-        .as_ref()
-        .and_then(|m| m.get("glimt"))
-        .ok_or("its metadata has no entry \"glimt\"; it is some other safetensors file")?;
+/// A file whose header has been read.
+struct OpenFile {
+    kind: Kind,
+    names: Vec<String>,
+    decoder: Decoder<Entry>,
+    tensor_bytes: usize,
+}
+
+impl OpenFile {
+    fn new(content: Content, size: usize) -> Result<OpenFile, String> {
+        let (metadata, start) = read_header(&content, size)?;
+        let tensor_bytes = metadata.data_len();
+        let json = metadata.metadata().as_ref().and_then(|entries| entries.get("glimt"));
+        let header =
+            header(json.ok_or("its metadata has no entry \"glimt\"; it is some other safetensors file")?)?;
+        let kind: Kind = header
+            .kind
+            .parse()
+            .map_err(|_| format!("its model is \"{}\", expected {}", header.kind, names_of_stored_kinds()))?;
+        let activation = header.activation.as_deref().map(activation_named).transpose()?;
+        let tensors = Tensors::new(content, (metadata, start), header.materials.len(), activation);
+        let material = with_kind!(kind, Decoded => decoder::<Decoded>(&tensors, header.form.as_ref()))?;
+        let names = header.materials.iter().map(|material| material.name.clone()).collect();
+        let materials = header.materials;
+        let decoder = move |i: usize| {
+            let MaterialHeader { name, origin } = materials[i].clone();
+            Ok(Entry { name, material: material(i)?, origin })
+        };
+        Ok(OpenFile { kind, names, decoder: Box::new(decoder), tensor_bytes })
+    }
+}
+
+fn decoder<M: Codec + 'static>(tensors: &Tensors, form: Option<&Value>) -> Result<Decoder<Material>, String>
+where
+    Material: From<M>,
+{
+    let decode = M::decoder(tensors, form)?;
+    Ok(Box::new(move |i| decode(i).map(Material::from)))
+}
+
+/// The JSON object in a file's metadata, checked.
+fn header(json: &str) -> Result<Header, String> {
     let version: FormatVersion =
         serde_json::from_str(json).map_err(|e| format!("its \"glimt\" metadata is broken: {e}"))?;
     if version.format != FORMAT_VERSION {
@@ -401,16 +508,8 @@ fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
     if header.materials.is_empty() {
         return Err("it holds no material".into());
     }
-    let file = SafeTensors::deserialize(bytes).map_err(container)?;
-    let names = header.materials.iter().map(|material| material.name.as_str()).collect();
-    let activation = header.activation.as_deref().map(activation_named).transpose()?;
-    let materials = decode_materials(&header, &Tensors { file, names, activation })?;
-    Ok(header
-        .materials
-        .into_iter()
-        .zip(materials)
-        .map(|(MaterialHeader { name, origin }, material)| Entry { name, material, origin })
-        .collect())
+    check_names(header.materials.iter().map(|material| material.name.as_str()))?;
+    Ok(header)
 }
 
 fn activation_named(name: &str) -> Result<Activation, String> {
@@ -422,20 +521,6 @@ fn activation_named(name: &str) -> Result<Activation, String> {
 #[derive(Deserialize)]
 struct FormatVersion {
     format: u32,
-}
-
-fn decode_materials(header: &Header, file: &Tensors) -> Result<Vec<Material>, String> {
-    fn decode<M: Codec>(header: &Header, file: &Tensors) -> Result<Vec<Material>, String>
-    where
-        Material: From<M>,
-    {
-        Ok(M::decode(file, header.form.as_ref())?.into_iter().map(Material::from).collect())
-    }
-    let kind: Kind = header
-        .kind
-        .parse()
-        .map_err(|_| format!("its model is \"{}\", expected {}", header.kind, names_of_stored_kinds()))?;
-    with_kind!(kind, Decoded => decode::<Decoded>(header, file))
 }
 
 /// The models that a library can hold, for messages.
@@ -463,7 +548,9 @@ mod tests {
     use crate::models::spherical::{store::StoreKind, tables::Grids, tests as spherical};
     use glam::Vec3;
     use proptest::prelude::*;
-    use std::sync::{Arc, LazyLock};
+    use std::io::{Read, Seek, SeekFrom};
+    use std::sync::LazyLock;
+    use std::sync::atomic::{AtomicUsize, Ordering};
 
     const PARAMETERS: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
 
@@ -578,11 +665,11 @@ mod tests {
             for activation in Activation::ALL {
                 for entries in libraries_of(kind, activation) {
                     let [saved, read] = saved_and_read(&path, entries);
-                    for (a, b) in saved.entries().iter().zip(read.entries()) {
+                    for (a, b) in saved.entries().unwrap().iter().zip(read.entries().unwrap()) {
                         assert_eq!(b.material.network().unwrap().activation(), activation, "{kind}");
                         assert_eq!(values(&a.material), values(&b.material), "{kind}, {activation:?}");
                     }
-                    of_activation.push(values(&read.entries()[0].material));
+                    of_activation.push(values(&read.entries().unwrap()[0].material));
                 }
             }
             // The test of the test: the activation matters.
@@ -601,8 +688,9 @@ mod tests {
         ] {
             let library = Library::new("", libraries_of(kind, expected).remove(0)).unwrap();
             let said = format!("\\\"activation\\\":\\\"{}\\\",", expected.name());
-            let read = Library::from_bytes("", &replaced(&library.encode(), &said, "")).unwrap();
-            for (a, b) in library.entries().iter().zip(read.entries()) {
+            let read =
+                Library::from_bytes("", &replaced(&library.to_bytes().unwrap().unwrap(), &said, "")).unwrap();
+            for (a, b) in library.entries().unwrap().iter().zip(read.entries().unwrap()) {
                 assert_eq!(b.material.network().unwrap().activation(), expected, "{kind}");
                 assert_eq!(values(&a.material), values(&b.material), "{kind}");
             }
@@ -638,8 +726,8 @@ mod tests {
         for (i, entries) in libraries().into_iter().enumerate() {
             let [saved, read] = saved_and_read(&folder.path().join(format!("{i}.safetensors")), entries);
             assert_eq!(read.names(), ["a", "b"]);
-            assert_eq!(read.tensor_bytes(), saved.tensor_bytes());
-            for (a, b) in saved.entries().iter().zip(read.entries()) {
+            assert_eq!(read.tensor_bytes().unwrap(), saved.tensor_bytes().unwrap());
+            for (a, b) in saved.entries().unwrap().iter().zip(read.entries().unwrap()) {
                 assert_eq!(a.origin, b.origin);
                 assert_eq!(values(&a.material), values(&b.material));
                 assert_eq!(a.material.sampler().lobes(), b.material.sampler().lobes());
@@ -665,7 +753,9 @@ mod tests {
             }
             let saved = Library::new(&path, changed).unwrap();
             saved.save().unwrap();
-            for (saved, read) in saved.entries().iter().zip(Library::open(&path).unwrap().entries()) {
+            for (saved, read) in
+                saved.entries().unwrap().iter().zip(Library::open(&path).unwrap().entries().unwrap())
+            {
                 for (light, view) in pairs.into_iter().flat_map(|l| pairs.map(|v| (l, v))) {
                     assert_eq!(
                         saved.material.eval(light, view),
@@ -711,7 +801,7 @@ mod tests {
     fn twelve_numbers_a_material() {
         let library = Library::new("", library_of(Kind::Hybrid)).unwrap();
         // k_d 3, η 3, α 1, z 4, bound 1; the network 10-16-16-6 with its biases.
-        assert_eq!(library.tensor_bytes(), (4 * 12, 4 * (11 * 16 + 17 * 16 + 17 * 6)));
+        assert_eq!(library.tensor_bytes().unwrap(), (4 * 12, 4 * (11 * 16 + 17 * 16 + 17 * 6)));
     }
 
     #[test]
@@ -742,7 +832,7 @@ mod tests {
             assert!(message.contains("broken.safetensors"), "{message}");
             message
         };
-        let good = Library::new(&path, library_of(Kind::Hybrid)).unwrap().encode();
+        let good = Library::new(&path, library_of(Kind::Hybrid)).unwrap().to_bytes().unwrap().unwrap();
         let replaced = |from: &str, to: &str| replaced(&good, from, to);
         assert!(refused(b"MZ").contains("broken"));
         assert!(refused(&good[..good.len() - 5]).contains("broken"));
@@ -768,6 +858,72 @@ mod tests {
         assert!(Library::open(folder.path().join("none")).unwrap_err().to_string().contains("cannot read"));
     }
 
+    /// Counts the bytes that are read from memory.
+    struct Counted(std::io::Cursor<Vec<u8>>, Arc<AtomicUsize>);
+
+    impl Read for Counted {
+        fn read(&mut self, to: &mut [u8]) -> std::io::Result<usize> {
+            let read = self.0.read(to)?;
+            self.1.fetch_add(read, Ordering::Relaxed);
+            Ok(read)
+        }
+    }
+
+    impl Seek for Counted {
+        fn seek(&mut self, to: SeekFrom) -> std::io::Result<u64> {
+            self.0.seek(to)
+        }
+    }
+
+    #[test]
+    fn of_a_thousand_materials_those_are_read_that_are_asked_for() {
+        let network = Arc::new(patterned(&[14, 32, 32, 32, 6], 6, Activation::HardGelu));
+        let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
+        let material = |i: usize| {
+            let latent = (0..8).map(|k| ((i * 8 + k) as f32).sin()).collect();
+            entry(&i.to_string(), Hybrid::new(form, network.clone(), PARAMETERS, latent, 1.5).unwrap().into())
+        };
+        let whole = Library::new("", (0..1000).map(material).collect()).unwrap();
+        let bytes = whole.to_bytes().unwrap().unwrap();
+        let (header, size) = (u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize + 8, bytes.len());
+        let read = Arc::new(AtomicUsize::new(0));
+        let stream = Counted(std::io::Cursor::new(bytes), read.clone());
+        let content = Content::File(Mutex::new(Box::new(stream)));
+        let library = Library::from_content("".into(), content, size).unwrap();
+        let [a, b] = ["17", "900"].map(|name| library.material(Some(name)).unwrap());
+        let beyond = read.load(Ordering::Relaxed) - header;
+        assert!(beyond < 1 << 16, "{beyond} bytes beyond the header");
+        assert!(std::ptr::eq(a.network().unwrap(), b.network().unwrap()));
+        assert!(std::ptr::eq(a, library.material(Some("17")).unwrap()));
+        assert_eq!(library.entries.iter().filter(|entry| entry.get().is_some()).count(), 2);
+        for (read, saved) in library.entries().unwrap().iter().zip(whole.entries().unwrap()) {
+            assert_eq!(values(&read.material), values(&saved.material));
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_with_a_material_of_a_large_file_is_said_when_it_is_asked_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("large.safetensors");
+        let network = Arc::new(patterned(&[10, 16, 16, 6], 6, Activation::HardGelu));
+        let entries = (0..2000).map(|i| entry(&i.to_string(), hybrid(&network, [0.2; 2], 0.1))).collect();
+        let mut bytes = Library::new(&path, entries).unwrap().to_bytes().unwrap().unwrap();
+        // Tensors follow in the order of their names: the last number is of the last layer's weights, and those before
+        // the networks' are the codes.
+        let codes = 2000 * 4 * 4;
+        let networks: usize = network.layers().iter().map(|l| 4 * (l.weight.len() + l.bias.len())).sum();
+        let last_code = bytes.len() - networks - 4;
+        assert!(codes < last_code);
+        bytes[last_code..][..4].copy_from_slice(&f32::NAN.to_le_bytes());
+        std::fs::write(&path, bytes).unwrap();
+        let library = Library::open(&path).unwrap();
+        assert!(library.material(Some("0")).is_ok());
+        let message = library.material(Some("1999")).unwrap_err().to_string();
+        let parts = ["large.safetensors", "material \"1999\"", "\"latent\" holds NaN"];
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+        assert!(library.entries().is_err() && library.to_bytes().is_err());
+    }
+
     #[test]
     fn a_path_that_cannot_be_written_leaves_nothing_behind() {
         let folder = tempfile::tempdir().unwrap();
@@ -781,15 +937,15 @@ mod tests {
         #[test]
         fn mutated_files_never_panic(at in 0..4000usize, byte in any::<u8>(), cut in 0..4000usize) {
             static ENCODED: LazyLock<Vec<Vec<u8>>> = LazyLock::new(|| {
-                libraries().into_iter().map(|entries| Library::new("", entries).unwrap().encode()).collect()
+                libraries().into_iter().map(|entries| Library::new("", entries).unwrap().to_bytes().unwrap().unwrap()).collect()
             });
             for bytes in &*ENCODED {
                 let mut bytes = bytes.clone();
                 let at = at % bytes.len();
                 bytes[at] = byte;
-                let _ = decode(&bytes);
+                let _ = Library::from_bytes("", &bytes).and_then(|library| library.to_bytes());
                 bytes.truncate(cut % bytes.len());
-                prop_assert!(decode(&bytes).is_err());
+                prop_assert!(Library::from_bytes("", &bytes).is_err());
             }
         }
     }

@@ -22,9 +22,9 @@ use safetensors::tensor::Dtype;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::codec::Codec;
-use super::container::{Numbers, Tensor, Tensors, layer_at};
-use crate::kernels::network::{Activation, Layer, Network};
+use super::codec::{Codec, Decoder};
+use super::container::{Networks, Rows, Tensor, Tensors};
+use crate::kernels::network::{Activation, Layer};
 use crate::models::spherical::store::{Codebook, Store, StoreKind, pack, unpack};
 use crate::models::spherical::tables::{Form, Layout};
 use crate::models::spherical::{Features, Spherical};
@@ -116,27 +116,27 @@ impl Codec for Spherical {
         tensors
     }
 
-    fn decode(file: &Tensors, form: Option<&Value>) -> Result<Vec<Self>, String> {
+    fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String> {
         let form = form.ok_or("its metadata has no \"form\", which a spherical library needs")?;
         let StoredForm { form, store } = Deserialize::deserialize(form)
             .map_err(|e| format!("its \"glimt\" metadata is broken: the form: {e}"))?;
         store.validate()?;
         let layout = Arc::new(Layout::new(form)?);
         let networks = networks(file, form.inputs())?;
-        let clusters = cluster_numbers(file, networks.len())?;
+        let clusters = cluster_numbers(file, networks.count())?;
         let links = links(file, layout.places().len())?;
         let kept = |i: usize| {
             let last = |links: &Vec<u32>| links.iter().max().map_or(0, |&row| row as usize + 1);
             links.as_ref().map_or(layout.places().len(), |links| last(&links[i]))
         };
-        let kept: Vec<usize> = (0..file.materials()).map(kept).collect();
-        let stores = stores(file, store, form, &kept, &clusters, networks.len())?;
-        let bounds = file.numbers("bound")?;
-        file.each(|i| {
+        let kept = (0..file.materials()).map(kept).collect();
+        let stores = Stores::new(file, store, form, kept, networks.count())?;
+        let bounds = file.rows("bound", &[])?;
+        Ok(Box::new(move |i| {
             let links = links.as_ref().map(|links| links[i].clone());
-            let features = Features { store: stores[i].clone(), links };
-            Spherical::new(layout.clone(), networks[clusters[i]].clone(), features, bounds[i])
-        })
+            let features = Features { store: stores.at(i, clusters[i])?, links };
+            Spherical::new(layout.clone(), networks.at(clusters[i])?, features, bounds.number(i)?)
+        }))
     }
 
     fn check_together(&self, other: &Self) -> Result<(), String> {
@@ -193,25 +193,16 @@ fn from_nibbles(byte: u8) -> [i8; 2] {
     [((byte << 4) as i8) >> 4, (byte as i8) >> 4]
 }
 
-fn networks(file: &Tensors, inputs: usize) -> Result<Vec<Arc<Network>>, String> {
-    let mut stacks: Vec<[Numbers; 2]> = Vec::new();
-    while file.has(&format!("network.{}.weight", stacks.len())) {
-        let name = |part: &str| format!("network.{}.{part}", stacks.len());
-        stacks.push([file.floats(&name("weight"), &FLOATS)?, file.floats(&name("bias"), &FLOATS)?]);
-    }
-    let count = stacks.first().and_then(|[weight, _]| weight.shape.first().copied()).unwrap_or(0);
+fn networks(file: &Tensors, inputs: usize) -> Result<Networks, String> {
+    let first = file.info("network.0.weight", &FLOATS).ok();
+    let count = first.and_then(|weight| weight.shape.first().copied()).unwrap_or(0);
     if !(1..=file.materials()).contains(&count) {
         let materials = file.materials();
         return Err(format!(
             "it has {count} networks, expected 1 to {materials}, the number of its materials"
         ));
     }
-    let network = |index| {
-        let layers = stacks.iter().map(|stack| layer_at(stack, Some(count), index));
-        let activation = file.activation_or(Activation::HardGelu);
-        Network::new(layers.collect::<Result<_, _>>()?, inputs, activation).map(Arc::new)
-    };
-    (0..count).map(network).collect()
+    file.stacked_networks(Some(count), inputs, file.activation_or(Activation::HardGelu), &FLOATS)
 }
 
 fn cluster_numbers(file: &Tensors, networks: usize) -> Result<Vec<usize>, String> {
@@ -222,7 +213,7 @@ fn cluster_numbers(file: &Tensors, networks: usize) -> Result<Vec<usize>, String
     if networks == materials {
         return Ok((0..materials).collect());
     }
-    let (_, shape, bytes) = file.bytes("cluster", &[Dtype::U16])?;
+    let (shape, bytes) = file.bytes("cluster", &[Dtype::U16])?;
     let clusters: Vec<usize> = bytes.as_chunks().0.iter().map(|&b| u16::from_le_bytes(b).into()).collect();
     if shape != [materials] {
         return Err(format!("the tensor \"cluster\" has shape {shape:?}, expected [{materials}]"));
@@ -237,7 +228,7 @@ fn links(file: &Tensors, rows: usize) -> Result<Option<Vec<Vec<u32>>>, String> {
     if !file.has("links") {
         return Ok(None);
     }
-    let (_, shape, bytes) = file.bytes("links", &[Dtype::U32])?;
+    let (shape, bytes) = file.bytes("links", &[Dtype::U32])?;
     if shape != [file.materials(), rows] {
         let materials = file.materials();
         return Err(format!("the tensor \"links\" has shape {shape:?}, expected [{materials}, {rows}]"));
@@ -249,79 +240,86 @@ fn links(file: &Tensors, rows: usize) -> Result<Option<Vec<Vec<u32>>>, String> {
     Ok(Some(links.chunks_exact(rows).map(<[u32]>::to_vec).collect()))
 }
 
-/// The stores of all materials, of which the i-th keeps `kept[i]` rows.
-fn stores(
-    file: &Tensors,
+/// Where the features of the materials are.
+struct Stores {
+    file: Tensors,
     kind: StoreKind,
-    form: Form,
-    kept: &[usize],
-    clusters: &[usize],
-    networks: usize,
-) -> Result<Vec<Store>, String> {
-    let k = usize::from(form.features);
-    let counts: Vec<usize> = match kind {
-        StoreKind::Codebook(bits) => kept.iter().map(|rows| (rows * usize::from(bits)).div_ceil(8)).collect(),
-        StoreKind::I4 => kept.iter().map(|rows| rows * k / 2).collect(),
-        StoreKind::F32 => kept.iter().map(|rows| rows * k * 4).collect(),
-        StoreKind::F16 => kept.iter().map(|rows| rows * k * 2).collect(),
-        StoreKind::I8 => kept.iter().map(|rows| rows * k).collect(),
-    };
-    let name = if matches!(kind, StoreKind::Codebook(_)) { "indices" } else { "features" };
-    let (_, _, bytes) = file.bytes(name, &[dtype(kind)])?;
-    let expected: usize = counts.iter().sum();
-    if bytes.len() != expected {
-        return Err(format!("the tensor \"{name}\" has {} bytes, expected {expected}", bytes.len()));
-    }
-    let mut rest = bytes;
-    let parts = counts.iter().map(|&count| {
-        let (part, after) = rest.split_at(count);
-        rest = after;
-        part
-    });
-    let parts: Vec<&[u8]> = parts.collect();
-    let scales = match kind.largest() {
-        None => Vec::new(),
-        Some(_) => {
-            let scales = file.take("scales")?;
-            let expected = [file.materials(), form.grids.tables(), k];
-            if scales.shape != expected {
-                return Err(scales.unexpected_shape(&format!("{expected:?}")));
-            }
-            scales.data.chunks_exact(expected[1] * k).map(<[f32]>::to_vec).collect()
+    /// Rows that each material keeps.
+    kept: Vec<usize>,
+    /// Where each material's bytes begin, and the last one's end.
+    starts: Vec<usize>,
+    scales: Option<Rows>,
+    codebooks: Vec<Arc<Codebook>>,
+}
+
+impl Stores {
+    /// Of materials that keep these rows.
+    fn new(
+        file: &Tensors,
+        kind: StoreKind,
+        form: Form,
+        kept: Vec<usize>,
+        networks: usize,
+    ) -> Result<Stores, String> {
+        let k = usize::from(form.features);
+        let bytes = |&rows: &usize| match kind {
+            StoreKind::Codebook(bits) => (rows * usize::from(bits)).div_ceil(8),
+            StoreKind::I4 => rows * k / 2,
+            StoreKind::F32 => rows * k * 4,
+            StoreKind::F16 => rows * k * 2,
+            StoreKind::I8 => rows * k,
+        };
+        let mut starts = vec![0];
+        starts.extend(kept.iter().map(bytes).scan(0, |end, bytes| {
+            *end += bytes;
+            Some(*end)
+        }));
+        let (name, expected) = (features_name(kind), starts[kept.len()]);
+        let (begin, end) = file.info(name, &[dtype(kind)])?.data_offsets;
+        if end - begin != expected {
+            return Err(format!("the tensor \"{name}\" has {} bytes, expected {expected}", end - begin));
         }
-    };
-    let codebooks = match kind {
-        StoreKind::Codebook(bits) => codebooks(file, networks, 1 << bits, k)?,
-        _ => Vec::new(),
-    };
-    Ok(parts
-        .into_iter()
-        .enumerate()
-        .map(|(i, bytes)| match kind {
+        let has_scales = kind.largest().is_some();
+        let scales = has_scales.then(|| file.rows("scales", &[form.grids.tables(), k])).transpose()?;
+        let codebooks = match kind {
+            StoreKind::Codebook(bits) => codebooks(file, networks, 1 << bits, k)?,
+            _ => Vec::new(),
+        };
+        Ok(Stores { file: file.clone(), kind, kept, starts, scales, codebooks })
+    }
+
+    /// That of a material, which is of a cluster.
+    fn at(&self, material: usize, cluster: usize) -> Result<Store, String> {
+        let kind = self.kind;
+        let bytes = self.file.part(features_name(kind), self.starts[material]..self.starts[material + 1])?;
+        let scaled = |integers| {
+            let scales = self.scales.as_ref().map_or(Ok(Vec::new()), |scales| scales.row(material))?;
+            Ok(Store::Scaled { kind, integers, scales })
+        };
+        match kind {
             StoreKind::F32 => {
-                Store::F32(bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect())
+                Ok(Store::F32(bytes.as_chunks().0.iter().map(|&b| f32::from_le_bytes(b)).collect()))
             }
             StoreKind::F16 => {
-                Store::F16(bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b)).collect())
+                Ok(Store::F16(bytes.as_chunks().0.iter().map(|&b| f16::from_le_bytes(b)).collect()))
             }
-            StoreKind::I8 => {
-                let integers = bytes.iter().map(|&b| b as i8).collect();
-                Store::Scaled { kind, integers, scales: scales[i].clone() }
-            }
-            StoreKind::I4 => {
-                let integers = bytes.iter().flat_map(|&b| from_nibbles(b)).collect();
-                Store::Scaled { kind, integers, scales: scales[i].clone() }
-            }
+            StoreKind::I8 => scaled(bytes.iter().map(|&b| b as i8).collect()),
+            StoreKind::I4 => scaled(bytes.iter().flat_map(|&b| from_nibbles(b)).collect()),
             StoreKind::Codebook(bits) => {
-                let indices = unpack(bytes, bits, kept[i]);
-                Store::Indexed { bits, indices, codebook: codebooks[clusters[i]].clone() }
+                let indices = unpack(&bytes, bits, self.kept[material]);
+                Ok(Store::Indexed { bits, indices, codebook: self.codebooks[cluster].clone() })
             }
-        })
-        .collect())
+        }
+    }
+}
+
+/// The tensor that holds the features.
+fn features_name(kind: StoreKind) -> &'static str {
+    if matches!(kind, StoreKind::Codebook(_)) { "indices" } else { "features" }
 }
 
 fn codebooks(file: &Tensors, count: usize, size: usize, k: usize) -> Result<Vec<Arc<Codebook>>, String> {
-    let (_, shape, bytes) = file.bytes("codebook", &[Dtype::F16])?;
+    let (shape, bytes) = file.bytes("codebook", &[Dtype::F16])?;
     if shape != [count, size, k] {
         return Err(format!("the tensor \"codebook\" has shape {shape:?}, expected [{count}, {size}, {k}]"));
     }
@@ -367,11 +365,11 @@ mod tests {
                     let library = library(&folder, materials);
                     library.save().unwrap();
                     let back = Library::open(library.path()).unwrap();
-                    for (before, after) in library.entries().iter().zip(back.entries()) {
+                    for (before, after) in library.entries().unwrap().iter().zip(back.entries().unwrap()) {
                         let (l, v) = (Vec3::new(0.48, 0.6, 0.64), Vec3::new(-0.6, 0.0, 0.8));
                         assert_eq!(before.material.eval(l, v), after.material.eval(l, v), "{kind:?}");
                     }
-                    assert_eq!(library.tensor_bytes(), back.tensor_bytes());
+                    assert_eq!(library.tensor_bytes().unwrap(), back.tensor_bytes().unwrap());
                 }
             }
         }
@@ -383,7 +381,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let form = Form { nside: 64.try_into().unwrap(), features: 16, ..form(Grids::Lv) };
         let library = library(&folder, vec![material(form, StoreKind::Codebook(9))]);
-        let tensors = library.tensors();
+        let tensors = crate::library::tensors(&library.entries().unwrap());
         let bytes = |name: &str| tensors.iter().find(|t| t.name == name).unwrap().bytes.len();
         assert_eq!(bytes("indices") + bytes("codebook"), (2 * 24_961 * 9usize).div_ceil(8) + 512 * 16 * 2);
         assert_eq!((bytes("indices") + bytes("codebook")) / 1000, 72);
@@ -413,10 +411,13 @@ mod tests {
         let back = Library::open(library.path()).unwrap();
         // Low over the horizon, where the last rows are.
         let (l, v) = (Vec3::new(0.6, 0.768, 0.225), Vec3::new(-0.6, 0.0, 0.8));
-        for (before, after) in library.entries().iter().zip(back.entries()) {
+        for (before, after) in library.entries().unwrap().iter().zip(back.entries().unwrap()) {
             assert_eq!(before.material.eval(l, v), after.material.eval(l, v));
         }
-        assert_ne!(back.entries()[0].material.eval(l, v), back.entries()[1].material.eval(l, v));
+        assert_ne!(
+            back.entries().unwrap()[0].material.eval(l, v),
+            back.entries().unwrap()[1].material.eval(l, v)
+        );
     }
 
     #[test]

@@ -253,7 +253,7 @@ fn shipped() -> Library {
 
 #[test]
 fn no_shipped_fit_is_sampled_worse_than_by_the_cosine_or_one_lobe() {
-    for entry in shipped().entries() {
+    for entry in shipped().entries().unwrap() {
         assert!(matches!(entry.material.model(), AnyModel::Hybrid(_)));
         check_variance(&entry.name, &entry.material);
     }
@@ -293,7 +293,7 @@ proptest! {
         (p, a, b, t, wider) in (microfacet(true), 0..12_usize, 0..12_usize, 0.0..1.0_f32, 0.7..1.4_f32),
     ) {
         let library = shipped();
-        let [a, b] = [a, b].map(|i| &library.entries()[i].material);
+        let [a, b] = [a, b].map(|i| &library.entries().unwrap()[i].material);
         let latent = a.latent().iter().zip(b.latent()).map(|(a, b)| a + t * (b - a)).collect();
         let alpha = a.microfacet().unwrap().scaled_alpha(wider);
         let edited = a.with_microfacet(Microfacet { alpha, ..p }).unwrap().with_latent(latent).unwrap();
