@@ -2,12 +2,14 @@
 #
 #   make demo        install glimt into .venv and render the scenes to out/
 #   make test        formatting, lints and all tests but the long ones
+#   make test-rust   those of them that need Rust and a C++ compiler only
 #   make test-long   the long ones
-#   make fuzz        every reader on hostile bytes, for a minute or two (fuzz/run goes on for longer)
+#   make fuzz        every reader on hostile bytes, for a minute or two (fuzz/run runs for longer)
+#   make package     what crates.io and PyPI would be given, and whether they would take it; needs a clean checkout
 #   make clean       delete what the others made
 
 .DEFAULT_GOAL := demo
-.PHONY: demo install test test-long fuzz clean
+.PHONY: demo install lint test test-rust test-long fuzz package clean
 
 PYTHON ?= python3
 VENV := $(CURDIR)/.venv
@@ -41,16 +43,22 @@ install: $(VENV)/.glimt
 demo: install
 	python scenes/render.py
 
-test: install
+lint: $(VENV)/.requirements
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 	cargo update --quiet --workspace --locked --manifest-path fuzz/Cargo.toml
 	ruff check .
 	ruff format --check .
+
+test-rust:
 	cargo test --workspace --locked
 ifneq ($(REFERENCE_DATA),)
 	cargo test --workspace --locked -- --ignored reference_data
 endif
+
+test: install
+	$(MAKE) lint
+	$(MAKE) test-rust
 	python -m pytest
 
 test-long: install
@@ -59,6 +67,12 @@ test-long: install
 
 fuzz:
 	bash fuzz/run all 100000
+
+package: $(VENV)/.requirements
+	cargo package --workspace --locked --no-verify
+	rm -rf out/dist
+	python -m build --sdist --no-isolation --skip-dependency-check --outdir out/dist .
+	twine check --strict out/dist/*
 
 clean:
 	rm -rf $(VENV) build out target

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 FIRST, LAST, STEP = 360, 830, 10
 
 
-def colour_of_nodes():
+def color_of_nodes():
     """The matrix from the values at the nodes to linear sRGB under D65, by linear interpolation."""
     mi.set_variant("llvm_ad_spectral")
     fine = np.arange(FIRST, LAST + 0.5, 0.5)
@@ -29,9 +29,9 @@ def colour_of_nodes():
     return matrix / matrix.sum(axis=1, keepdims=True)
 
 
-def solve(colour):
+def solve(color):
     """R, G and B at the nodes, (3, nodes)."""
-    n = colour.shape[1]
+    n = color.shape[1]
 
     def split(x):
         red, green = x[:n], x[n:]
@@ -44,8 +44,8 @@ def solve(colour):
         gradient[:, :-1] -= 2 * slopes
         return np.sum(slopes**2), np.concatenate([gradient[0] - gradient[2], gradient[1] - gradient[2]])
 
-    zero = np.zeros_like(colour)
-    targets = np.block([[colour, zero], [zero, colour]])
+    zero = np.zeros_like(color)
+    targets = np.block([[color, zero], [zero, color]])
     result = minimize(
         roughness,
         np.full(2 * n, 1 / 3),
@@ -72,8 +72,8 @@ def solve(colour):
 
 
 if __name__ == "__main__":
-    colour = colour_of_nodes()
-    spectra = solve(colour)
-    print("colours:", (spectra @ colour.T).round(5).tolist())
+    color = color_of_nodes()
+    spectra = solve(color)
+    print("colours:", (spectra @ color.T).round(5).tolist())
     for red, green, _ in spectra.T:
         print(f"    {red:.6f}f, {green:.6f}f,")

@@ -1,4 +1,4 @@
-"""The figures of the README, from the command line, on the reference measurements."""
+"""The figures of docs/notes/quality.md, from the command line, on the reference measurements."""
 
 import json
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 MEASUREMENTS = Path(__file__).parents[2] / "shared" / "data" / "rgl"
-# Means over the materials: SMAPE, log-MAE of the whole and of its analytic part, as the README has them.
+# Means over the materials: SMAPE, log-MAE of the whole and of its analytic part, as that page has them.
 SHARED = {"smape": 0.204, "log_mae": 2.43e-3, "analytic_smape": 0.404, "analytic_log_mae": 8.58e-3}
 PER_MATERIAL = {"smape": 0.146, "log_mae": 1.47e-3}
 # What another instruction set, whose rounding leads a fit elsewhere, may make of them.

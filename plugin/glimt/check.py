@@ -2,7 +2,7 @@
 
 A target is a scene file (``scene.xml`` for all of its BSDFs, ``scene.xml#id`` for one), a BSDF file, a
 description in JSON as ``mitsuba.load_dict`` takes it (``'{"type": "roughconductor", "alpha": 0.1}'``), or the
-name of a plugin. The tests are those of ``glimt check``; docs/check.md explains them.
+name of a plugin. The tests are those of ``glimt check``; docs/guide/check.md explains them.
 
 Exit code 0: all passed; 1: one failed; 2: bad usage.
 """

@@ -190,7 +190,7 @@ public:
             // The core's weight is that of radiance, for which wi is the view.
             if (ctx.mode == TransportMode::Importance && active)
                 weight = reflectance(ctx, si.wi, bs.wo, true) * (Frame3f::cos_theta(bs.wo) / s.pdf);
-            return { bs, colour(weight, si, active) };
+            return { bs, to_spectrum(weight, si, active) };
         } else {
             auto [bs, lit] = sample_direction(si.wi, sample1, sample2, active);
             return weighted(bs, reflectance(ctx, si.wi, bs.wo, lit), si, lit);
@@ -224,7 +224,7 @@ public:
                 auto [bs, chosen] = sample_direction(si.wi, sample1, sample2, active);
                 auto [f, f_chosen] = m_call.eval(wo, lit, bs.wo, chosen, si.wi);
                 auto [sample, weight] = weighted(bs, f_chosen, si, chosen);
-                return { colour(f * Frame3f::cos_theta(wo), si, lit), direction_pdf(si.wi, wo, lit), sample,
+                return { to_spectrum(f * Frame3f::cos_theta(wo), si, lit), direction_pdf(si.wi, wo, lit), sample,
                          weight };
             }
         }
@@ -492,7 +492,7 @@ private:
         Spectrum value(0.f);
         Float density(0.f);
         if constexpr (Eval) {
-            value = colour(reflectance(ctx, si.wi, wo, active) * cos_theta_o, si, active);
+            value = to_spectrum(reflectance(ctx, si.wi, wo, active) * cos_theta_o, si, active);
         }
         if constexpr (Pdf) {
             density = direction_pdf(si.wi, wo, active);
@@ -572,11 +572,11 @@ private:
         Color3f weight = f * (Frame3f::cos_theta(bs.wo) / bs.pdf);
         Mask valid = lit && dr::all(dr::isfinite(weight));
         bs.pdf = dr::select(valid, bs.pdf, 0.f);
-        return { bs, colour(weight, si, valid) };
+        return { bs, to_spectrum(weight, si, valid) };
     }
 
     /// Linear RGB as the variant's kind of colour, where \c active.
-    Spectrum colour(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
+    Spectrum to_spectrum(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
         return depolarizer<Spectrum>(spectrum(rgb, si, active)) & active;
     }
 

@@ -70,7 +70,7 @@ def machine():
 
 
 def keep(path, result):
-    """Writes ``result`` as JSON, for a file of docs/bench."""
+    """Writes ``result`` as JSON, for a file of docs/notes/bench."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(result, indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""Renders strips of edited and of mixed materials: docs/edits.png and docs/mixes.png.
+"""Renders strips of edited and of mixed materials: docs/images/edits.png and mixes.png.
 
     python tests/quality/edits.py [LIBRARY] [--out DIRECTORY]
 
@@ -32,7 +32,7 @@ def parse_arguments():
     parser.add_argument(
         "library", nargs="?", type=Path, default=ROOT / "scenes" / "models" / "rgl.safetensors"
     )
-    parser.add_argument("--out", type=Path, default=ROOT / "docs")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--spp", type=int, default=512)
     return parser.parse_args()

@@ -14,7 +14,7 @@ The first five are tables of the hybrid paper. Their materials are the published
 since the measurements themselves cannot be passed on: smooth stand-ins, so that errors are against NBRDF.
 Fits follow the paper (--paper) for --steps steps, of which the paper takes 200,000; --own follows glimt's
 recipe instead. The last three are of the paper on spherical primitives, on the twelve RGL measurements; their
-fits differ from the paper's as docs/spherical.md says. Fits that are in --work are not made again.
+fits differ from the paper's as docs/notes/spherical.md says. Fits that are in --work are not made again.
 """
 
 import argparse

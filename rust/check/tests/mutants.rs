@@ -1,6 +1,6 @@
 //! BSDFs that are broken in one way each: every one is caught, and this says by which tests.
 //!
-//! `cargo test -p glimt-check --test mutants -- --nocapture` prints the table of docs/check.md.
+//! `cargo test -p glimt-check --test mutants -- --nocapture` prints the table of docs/notes/check.md.
 
 use std::f32::consts::{FRAC_1_PI, TAU};
 use std::sync::atomic::{AtomicU32, Ordering};

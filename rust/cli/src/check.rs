@@ -17,7 +17,7 @@ use crate::{inputs, output};
 /// Test materials: sampling, weights, energy, symmetry, the horizon
 ///
 /// Every material goes through the same tests: samples against the density by χ², weights against f·cosθ/pdf,
-/// the mean weight against an integral that no sampler has touched, and more; docs/check.md explains each.
+/// the mean weight against an integral that no sampler has touched, and more; docs/guide/check.md explains each.
 /// Exit code 1 if one fails. Warnings (an albedo above 1 among them) do not, nor does what a measurement says against
 /// physics: that is of its file.
 #[derive(clap::Args)]

@@ -7,6 +7,19 @@ use crate::simd::{LANES, Lane3, Real};
 /// A sampled light direction.
 ///
 /// A failed sample has `pdf` 0 and `weight` 0; its `light` is then the normal and carries no meaning.
+///
+/// ```
+/// use glimt_core::{Library, Sample, SampleBrdf, Vec3};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// let material = library.material(Some("paper_white"))?;
+/// let view = Vec3::new(0.6, 0.0, 0.8);
+/// let Sample { light, pdf, weight } = material.sample(view, Vec3::new(0.1, 0.2, 0.3));
+/// assert!(light.is_normalized() && light.z > 0.0 && pdf > 0.0 && weight.min_element() >= 0.0);
+/// // Below the horizon nothing is sampled.
+/// assert_eq!(material.sample(-view, Vec3::splat(0.5)), Sample::FAILED);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// Unit direction towards the light, in the local frame.
@@ -28,6 +41,30 @@ impl Sample {
 /// and `view` to where it goes; both point away from the surface and have unit length. Below the
 /// horizon on either side every answer is 0, and so it is for a vector that holds a NaN or has not
 /// about unit length: for every input f is finite and ≥ 0. Reciprocity is promised only where a model says so.
+///
+/// `light` is Mitsuba's `wo` and pbrt's `wi`, `view` is Mitsuba's `wi` and pbrt's `wo`.
+///
+/// Only [`Brdf::eval`] has to be written; what comes in packets and batches is then evaluated pair by pair:
+///
+/// ```
+/// use glimt_core::{Brdf, Vec3, is_lit};
+///
+/// /// Reflects as much in every direction.
+/// struct Lambert(Vec3);
+///
+/// impl Brdf for Lambert {
+///     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+///         if is_lit(light, view) { self.0 / std::f32::consts::PI } else { Vec3::ZERO }
+///     }
+/// }
+///
+/// let white = Lambert(Vec3::ONE);
+/// let light = [Vec3::Z, Vec3::new(0.6, 0.0, 0.8), Vec3::new(0.6, 0.0, -0.8)];
+/// let mut f = [Vec3::ZERO; 3];
+/// white.eval_batch(&light, &[Vec3::Z; 3], &mut f);
+/// assert_eq!(f[0], f[1]);
+/// assert_eq!(f[2], Vec3::ZERO);
+/// ```
 pub trait Brdf: Send + Sync {
     /// f_r(light, view) in sr⁻¹, linear RGB, without the cosine.
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3;
@@ -92,6 +129,29 @@ pub(crate) fn check_lengths(light: &[&[f32]; 3], view: &[&[f32]; 3], out: &[&mut
 }
 
 /// A BRDF that can be importance sampled, with the density of its sampler known exactly.
+///
+/// The mean weight of samples is the directional albedo:
+///
+/// ```
+/// use glimt_core::{Brdf, Library, SampleBrdf, Vec3};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// let material = library.material(Some("paper_white"))?;
+/// let view = Vec3::new(0.0, 0.6, 0.8);
+/// let n = 32;
+/// let mut albedo = Vec3::ZERO;
+/// for i in 0..n * n {
+///     let u = Vec3::new(i as f32 / (n * n) as f32, (i % n) as f32 / n as f32, (i / n) as f32 / n as f32);
+///     let sample = material.sample(view, u);
+///     if sample.pdf > 0.0 {
+///         let density = material.pdf(sample.light, view);
+///         assert!((sample.pdf - density).abs() < 0.01 * density);
+///     }
+///     albedo += sample.weight / (n * n) as f32;
+/// }
+/// assert!(albedo.x > 0.7 && albedo.x < 1.1, "{albedo}");
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 pub trait SampleBrdf: Brdf {
     /// Density (sr⁻¹, solid angle of `light`) with which [`sample`](Self::sample) chooses `light`.
     fn pdf(&self, light: Vec3, view: Vec3) -> f32;

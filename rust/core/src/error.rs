@@ -77,6 +77,17 @@ pub enum Unmixable {
 }
 
 /// An error of the model library; every message names the file.
+///
+/// ```
+/// use glimt_core::{Error, Library};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// match library.material(Some("chm_orang")) {
+///     Err(Error::UnknownMaterial { nearest, .. }) => assert_eq!(nearest[0], "chm_orange"),
+///     other => panic!("{other:?}"),
+/// }
+/// # Ok::<(), Error>(())
+/// ```
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The file cannot be read.

@@ -135,6 +135,25 @@ impl FromStr for Kind {
 }
 
 /// A material: a model, and a sampler that is made when it is first asked for. Copies share it.
+///
+/// ```
+/// use glimt_core::{Brdf, Kind, Library, SampleBrdf, Vec3};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// let orange = library.material(Some("chm_orange"))?;
+/// assert_eq!(orange.kind(), Kind::Hybrid);
+///
+/// // The edit is a material of its own, with a sampler of its own.
+/// let mut microfacet = *orange.microfacet().unwrap();
+/// microfacet.alpha = [0.3; 2];
+/// let rough = orange.with_microfacet(microfacet).unwrap();
+/// assert!(rough.eval(Vec3::Z, Vec3::Z).x < orange.eval(Vec3::Z, Vec3::Z).x);
+///
+/// let tables = orange.with_sampler("table:8x16x8".parse().unwrap());
+/// assert_eq!(tables.eval(Vec3::Z, Vec3::Z), orange.eval(Vec3::Z, Vec3::Z));
+/// assert!(tables.pdf(Vec3::Z, Vec3::Z) > 0.0);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Material {
     model: AnyModel,

@@ -17,6 +17,18 @@ pub const MIN_ALPHA: f32 = 1e-4;
 pub const ETA_RANGE: [f32; 2] = [1.0, 10.0];
 
 /// Parameters p = (k_d, η, α) of the analytic BRDF: those of a material, or in lanes another set in each.
+///
+/// ```
+/// use glimt_core::microfacet::Microfacet;
+///
+/// let gold = Microfacet { kd: [0.0; 3], eta: [6.0, 4.0, 2.0], alpha: [0.1, 0.3] };
+/// assert!(gold.validate().is_ok() && !gold.is_isotropic());
+/// let [r, g, b] = gold.eval([0.0, 0.0, 1.0], [0.0, 0.0, 1.0]);
+/// assert!(r > g && g > b);
+///
+/// let mirror = Microfacet { alpha: [0.0; 2], ..gold };
+/// assert_eq!(mirror.validate().unwrap_err(), "alpha is 0, expected a value in [0.0001, 1]");
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Microfacet<F = f32> {
     /// Diffuse albedo per channel, linear RGB, in [0, 1].

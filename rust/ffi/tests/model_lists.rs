@@ -53,11 +53,11 @@ const LISTS: [List; 6] = [
         formats: &[],
     },
     List {
-        file: "README.md",
-        from: "## Models",
+        file: "docs/guide/models.md",
+        from: "| `--model` |",
         to: "Every model has",
         quote: "`",
-        // Measurements are no choice of `--model`; the section on files has their formats.
+        // Measurements are no choice of `--model`; the guide on files has their formats.
         formats: &[""],
     },
 ];

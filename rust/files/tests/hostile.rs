@@ -99,7 +99,7 @@ fn memory_of_library(name: &str, materials: impl Iterator<Item = Material>) -> f
     ratio
 }
 
-/// `cargo test -p glimt-files --test hostile memory -- --nocapture` prints the figures of docs/hostile-files.md.
+/// `cargo test -p glimt-files --test hostile memory -- --nocapture` prints the figures of docs/notes/hostile-files.md.
 #[test]
 fn numbers_of_a_library_take_the_memory_that_they_are_worth_and_its_header_more() {
     let parameters = Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.1; 2] };

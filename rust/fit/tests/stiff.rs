@@ -1,5 +1,5 @@
 //! Fits to materials that are hard to fit: they converge, or say why not, and write no NaN. The tables of
-//! `docs/stiff-fits.md` come from `examples/stiff`, which runs the same cases for longer.
+//! `docs/notes/stiff-fits.md` come from `examples/stiff`, which runs the same cases for longer.
 
 use glimt_core::library::{Entry, Library};
 use glimt_core::microfacet::Microfacet;
@@ -116,7 +116,7 @@ fn of_best_constant(case: &Case) -> f64 {
 fn ten_times_and_a_tenth_of_the_rate_still_converge() {
     let case = &cases(CROWD)[0];
     let collapsed = of_best_constant(case);
-    // Measured as above. `neural` does not stand ten times its rate, and docs/stiff-fits.md says so.
+    // Measured as above. `neural` does not stand ten times its rate, and docs/notes/stiff-fits.md says so.
     for (wanted, factor, figure) in [
         ("hybrid", 10.0, 0.00096),
         ("hybrid", 0.1, 0.03607),

@@ -1,7 +1,7 @@
-//! What an edit of α could do with a network's correction, as pictures: docs/edit-rules.png.
+//! What an edit of α could do with a network's correction, as pictures: docs/images/edit-rules.png.
 //!
 //! ```sh
-//! cargo run --release -p glimt-report --example edit_rules -- scenes/models/rgl.safetensors docs/edit-rules.png
+//! cargo run --release -p glimt-report --example edit_rules -- scenes/models/rgl.safetensors docs/images/edit-rules.png
 //! ```
 //!
 //! For each material one row a rule, from narrow to wide lobes. Only the last rule is what glimt does; the others are

@@ -33,13 +33,14 @@ impl Brdf for Wild {
     }
 }
 
-/// Every layout of an RGL file in the fewest knots; one has values near the end of float32.
+/// Every layout of an RGL file in the fewest knots; one has values near the end of float32. They are links to the
+/// corpus of the fuzz targets, and files in the published crate.
 const RGL_CORPUS: [(&str, &[u8]); 5] = [
-    ("isotropic", include_bytes!("../../../../fuzz/corpus/rgl/isotropic.bsdf")),
-    ("anisotropic", include_bytes!("../../../../fuzz/corpus/rgl/anisotropic.bsdf")),
-    ("half a turn", include_bytes!("../../../../fuzz/corpus/rgl/halfturn.bsdf")),
-    ("spectral", include_bytes!("../../../../fuzz/corpus/rgl/spectral.bsdf")),
-    ("huge values", include_bytes!("../../../../fuzz/corpus/rgl/huge_values.bsdf")),
+    ("isotropic", include_bytes!("rgl/isotropic.bsdf")),
+    ("anisotropic", include_bytes!("rgl/anisotropic.bsdf")),
+    ("half a turn", include_bytes!("rgl/halfturn.bsdf")),
+    ("spectral", include_bytes!("rgl/spectral.bsdf")),
+    ("huge values", include_bytes!("rgl/huge_values.bsdf")),
 ];
 
 /// Measurements of every format, sampled as they come, and some by the other samplers.

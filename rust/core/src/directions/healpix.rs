@@ -23,6 +23,16 @@ use crate::simd::Real;
 use crate::simd::math::floor;
 
 /// A HEALPix grid of a hemisphere.
+///
+/// ```
+/// use glimt_core::directions::healpix::Healpix;
+///
+/// let grid = Healpix::try_from(8).unwrap();
+/// assert_eq!(grid.points(), 6 * 8 * 8 + 6 * 8 + 1);
+/// let pixel = grid.pixel([0.6, 0.0, 0.8]);
+/// assert!(pixel.corners.iter().all(|&corner| (corner as usize) < grid.points()));
+/// assert!(Healpix::try_from(7).is_err());
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "u16", into = "u16")]
 pub struct Healpix {

@@ -123,6 +123,26 @@ const COLOR_SPACE: &str = "linear sRGB";
 ///
 /// Of a file that is opened the header is read, and what its materials share. A material is read when it is first
 /// asked for, so that one of thousands costs what one costs; a file that is small is read and checked at once.
+///
+/// ```
+/// use glimt_core::library::{Entry, Origin};
+/// use glimt_core::microfacet::Microfacet;
+/// use glimt_core::models::ggx::Ggx;
+/// use glimt_core::{Brdf, Kind, Library, Vec3};
+///
+/// let shipped = Library::open("../../scenes/models/rgl.safetensors")?;
+/// assert_eq!((shipped.kind(), shipped.names().len()), (Kind::Hybrid, 12));
+/// let between = shipped.mix("chm_mint", "chm_orange", 0.3)?;
+/// assert!(between.eval(Vec3::Z, Vec3::Z).min_element() >= 0.0);
+///
+/// // A library of one's own.
+/// let plastic = Ggx::new(Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.1; 2] }).unwrap();
+/// let entry = Entry { name: "plastic".to_owned(), material: plastic.into(), origin: Origin::default() };
+/// let library = Library::new("plastic.safetensors", vec![entry])?;
+/// let read = Library::from_bytes("plastic.safetensors", &library.to_bytes()?.unwrap())?;
+/// assert_eq!(read.names(), ["plastic"]);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone)]
 pub struct Library {
     path: PathBuf,

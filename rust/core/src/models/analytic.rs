@@ -6,7 +6,7 @@
 //!
 //! The parameters that are published for the MERL database follow no single normalisation. Which one
 //! belongs to a model here was decided by the fits themselves: with the factors below, their specular parts are
-//! as bright as their materials (`docs/factor.md`).
+//! as bright as their materials (`docs/guide/models.md`).
 
 use std::f64::consts::PI;
 
@@ -209,6 +209,16 @@ impl Specular {
 }
 
 /// One material.
+///
+/// ```
+/// use glimt_core::models::analytic::{Analytic, Parameters, Specular};
+/// use glimt_core::{Brdf, Vec3};
+///
+/// let specular = Specular::Ward { scale: [0.1; 3], roughness: 0.2 };
+/// let paint = Analytic::new(Parameters { diffuse: [0.5, 0.1, 0.1], specular }).unwrap();
+/// let f = paint.eval(Vec3::new(0.6, 0.0, 0.8), Vec3::new(-0.6, 0.0, 0.8));
+/// assert!(f.x > f.y && f.y == f.z);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Analytic {
     parameters: Parameters,

@@ -16,7 +16,7 @@
 //!   view below the largest of what the material had before, what the edited analytic part has, and 1. The gated
 //!   analytic part is never above the analytic part, and so there always is such a share.
 //!
-//! What else was tried, with pictures: docs/edits.md.
+//! What else was tried, with pictures: docs/notes/edits.md.
 
 use std::f32::consts::FRAC_1_PI;
 

@@ -8,6 +8,19 @@ use crate::models::Model;
 use crate::simd::{LANES, Lane3, Lanes, Vector};
 
 /// A material that is [`Microfacet`] and nothing else. Reciprocal.
+///
+/// ```
+/// use glimt_core::microfacet::Microfacet;
+/// use glimt_core::models::ggx::Ggx;
+/// use glimt_core::{Brdf, Material, SampleBrdf, Vec3};
+///
+/// let plastic = Ggx::new(Microfacet { kd: [0.2; 3], eta: [1.5; 3], alpha: [0.1; 2] }).unwrap();
+/// let (light, view) = (Vec3::new(0.6, 0.0, 0.8), Vec3::new(-0.36, 0.48, 0.8));
+/// assert_eq!(plastic.eval(light, view), plastic.eval(view, light));
+///
+/// let material = Material::from(plastic);
+/// assert!(material.pdf(light, view) > 0.0);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Ggx {
     microfacet: Microfacet,

@@ -170,6 +170,20 @@ pub(crate) fn check_bound(bound: f32) -> Result<(), Invalid> {
 }
 
 /// One material of the hybrid model.
+///
+/// A fit makes one, and a library brings it:
+///
+/// ```
+/// use glimt_core::models::hybrid::{Composition, Hybrid};
+/// use glimt_core::{Brdf, Library, Vec3};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// let hybrid: &Hybrid = library.material(Some("chm_orange"))?.try_into().unwrap();
+/// assert_eq!(hybrid.form().composition, Composition::GatedResidual);
+/// assert_eq!((hybrid.latent().len(), hybrid.network().outputs()), (4, 6));
+/// assert!(hybrid.eval(Vec3::Z, Vec3::Z).x > 1.0);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     form: Form,

@@ -35,6 +35,45 @@ pub trait Table: Brdf + fmt::Debug {
 }
 
 /// A measured material: the table, which its copies share, and the warp that may come with it.
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use glimt_core::models::tabulated::{Table, Tabulated};
+/// use glimt_core::{Brdf, Kind, Material, Oddity, SampleBrdf, Vec3, is_lit};
+///
+/// /// A table of one number.
+/// #[derive(Debug)]
+/// struct Grey;
+///
+/// impl Brdf for Grey {
+///     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+///         if is_lit(light, view) { Vec3::splat(0.1) } else { Vec3::ZERO }
+///     }
+/// }
+///
+/// impl Table for Grey {
+///     fn format(&self) -> &'static str {
+///         "merl"
+///     }
+///
+///     fn is_isotropic(&self) -> bool {
+///         true
+///     }
+///
+///     fn is_reciprocal(&self) -> bool {
+///         true
+///     }
+///
+///     fn oddities(&self) -> &[Oddity] {
+///         &[]
+///     }
+/// }
+///
+/// let material = Material::from(Tabulated::new(Arc::new(Grey), None));
+/// assert_eq!(material.kind(), Kind::Tabulated);
+/// assert!(material.pdf(Vec3::Z, Vec3::Z) > 0.0);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Tabulated {
     table: Arc<dyn Table>,

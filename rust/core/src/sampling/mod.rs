@@ -133,6 +133,21 @@ impl From<SamplerChoice> for Plan {
 }
 
 /// A sampler to ask for: `lobes`, `table`, `table:paper`, or `table:VIEWSxRINGSxSECTORS`.
+///
+/// ```
+/// use glimt_core::sampling::SamplerChoice;
+/// use glimt_core::{Library, SampleBrdf, Vec3};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// let lobes = library.material(Some("chm_orange"))?;
+/// assert_eq!(lobes.plan().name(), "lobes");
+///
+/// let choice: SamplerChoice = "table:16x32x16".parse().unwrap();
+/// let table = lobes.with_sampler(choice);
+/// assert_eq!(table.plan().choice(), Some(choice));
+/// assert!(table.sample(Vec3::Z, Vec3::splat(0.5)).pdf > 0.0);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SamplerChoice {
     /// [`Sampler::Lobes`].

@@ -1,4 +1,4 @@
-//! Fits to materials that are hard to fit: the tables of `docs/stiff-fits.md`, and the loss curves.
+//! Fits to materials that are hard to fit: the tables of `docs/notes/stiff-fits.md`, and the loss curves.
 //!
 //!     cargo run --release -p glimt-fit --example stiff -- [STEPS [CROWD]]
 //!

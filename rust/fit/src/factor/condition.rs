@@ -1,6 +1,6 @@
 //! The Hessian of a fit of factor tables at its end: how unlike its directions are.
 //!
-//! `cargo test -p glimt-fit --lib condition_of -- --nocapture` prints the table of docs/stiff-fits.md.
+//! `cargo test -p glimt-fit --lib condition_of -- --nocapture` prints the table of docs/notes/stiff-fits.md.
 
 use glimt_core::Brdf;
 use glimt_core::microfacet::Microfacet;

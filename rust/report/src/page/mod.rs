@@ -14,8 +14,8 @@ const PLOT_STYLE: &str = include_str!("plot.css");
 /// Style of the page, light and dark.
 const STYLE: &str = include_str!("page.css");
 /// Colours that the style has for models, and for what is none.
-const COLOURS: usize = 10;
-const SAMPLER_COLOURS: usize = 4;
+const COLORS: usize = 10;
+const SAMPLER_COLORS: usize = 4;
 
 /// A plot with what it shows.
 pub struct Plot {
@@ -116,7 +116,7 @@ fn marks(study: &Study) -> Vec<Mark> {
 
 /// The class of the colour of number `i`.
 fn class_of(i: usize) -> String {
-    format!("c{}", i % COLOURS)
+    format!("c{}", i % COLORS)
 }
 
 fn truth_mark() -> Mark {
@@ -181,7 +181,7 @@ fn variance(study: &Study, subjects: &[Subject], key: &str, of_what: &str) -> Pl
     for (i, name) in names.into_iter().enumerate() {
         let values: Vec<&Vec<f64>> = subjects.iter().filter_map(|s| s.variance.get(name)).collect();
         let mark = Mark {
-            class: format!("sampler s{}", i % SAMPLER_COLOURS),
+            class: format!("sampler s{}", i % SAMPLER_COLORS),
             name: format!("measurement by {name}"),
         };
         curves.push((mark, mean(&values)));

@@ -84,15 +84,15 @@ fn studio(direction: Vec3) -> Rgb {
     const EDGE: f32 = 0.04;
     let room = 0.12.lerp(0.55, 0.5 + 0.5 * direction.y);
     let mut radiance = [room * 0.98, room, room * 1.04];
-    for (middle, half, colour) in BOXES {
+    for (middle, half, color) in BOXES {
         let middle = middle.normalize();
         let along = Vec3::Y.cross(middle).normalize();
         let distance = direction.dot(middle);
         if distance > 0.0 {
             let place = [direction.dot(along), direction.dot(middle.cross(along))].map(|x| x / distance);
             let inside = |axis: usize| ((half[axis] - place[axis].abs()) / EDGE + 0.5).clamp(0.0, 1.0);
-            for (sum, colour) in radiance.iter_mut().zip(colour) {
-                *sum += inside(0) * inside(1) * colour;
+            for (sum, color) in radiance.iter_mut().zip(color) {
+                *sum += inside(0) * inside(1) * color;
             }
         }
     }

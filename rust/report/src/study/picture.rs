@@ -42,7 +42,7 @@ impl Picture {
     /// Values from 0 to 1 by pixel of `image` as colours.
     #[must_use]
     pub fn map(values: &[f32], image: &Image) -> Picture {
-        let colour = |i: usize| {
+        let color = |i: usize| {
             let place = values[i].clamp(0.0, 1.0) * (MAP.len() - 1) as f32;
             let (step, rest) =
                 ((place as usize).min(MAP.len() - 2), place - (place as usize).min(MAP.len() - 2) as f32);
@@ -51,7 +51,7 @@ impl Picture {
                 (a + rest * (b - a)) / 255.0
             })
         };
-        rgba(image, colour)
+        rgba(image, color)
     }
 
     /// The `src` of an image in a page.
@@ -61,13 +61,13 @@ impl Picture {
     }
 }
 
-/// A PNG with the colours that `colour` says, transparent where `image` is not finite.
-fn rgba(image: &Image, colour: impl Fn(usize) -> Rgb) -> Picture {
+/// A PNG with the colours that `color` says, transparent where `image` is not finite.
+fn rgba(image: &Image, color: impl Fn(usize) -> Rgb) -> Picture {
     let [width, height] = image.size();
     let mut bytes = Vec::with_capacity(4 * width * height);
     for (i, pixel) in image.pixels().iter().enumerate() {
         if pixel.iter().all(|x| x.is_finite()) {
-            bytes.extend(colour(i).map(|x| (x * 255.0).round() as u8));
+            bytes.extend(color(i).map(|x| (x * 255.0).round() as u8));
             bytes.push(255);
         } else {
             bytes.extend([0; 4]);

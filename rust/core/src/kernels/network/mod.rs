@@ -111,6 +111,20 @@ impl Activation {
 ///
 /// The latent columns of the first layer times z, and its bias, are one vector per material:
 /// [`Network::fold`] computes it once, and the kernels take it in place of the first bias.
+///
+/// ```
+/// use glimt_core::kernels::network::{Activation, Layer, Network};
+///
+/// // Two features and a latent code of one number, to three outputs.
+/// let layers = vec![
+///     Layer { weight: vec![0.1; 16 * 3], bias: vec![0.0; 16] },
+///     Layer { weight: vec![0.2; 3 * 16], bias: vec![-1.0; 3] },
+/// ];
+/// let network = Network::new(layers, 2, Activation::HardGelu).unwrap();
+/// assert_eq!((network.latent(), network.outputs()), (1, 3));
+/// // The latent code is folded into the first bias, and costs nothing for a pair.
+/// assert_eq!(network.multiply_adds(), 16 * 2 + 3 * 16);
+/// ```
 #[derive(Clone, Debug)]
 pub struct Network {
     layers: Vec<Layer>,

@@ -53,6 +53,22 @@ impl VisibleNormals {
 }
 
 /// GGX lobes and a cosine lobe, mixed.
+///
+/// They can be fitted to anything that reflects:
+///
+/// ```
+/// use glimt_core::sampling::lobes::{COSINE, Lobes, candidates};
+/// use glimt_core::{Library, Vec3};
+///
+/// let library = Library::open("../../scenes/models/rgl.safetensors")?;
+/// let material = library.material(Some("chm_orange"))?;
+/// let lobes = Lobes::fit(material, &candidates(None), material.is_isotropic());
+/// // A glossy paint is sampled by its lobes more than by the cosine.
+/// assert!(lobes.shares_at(0.8)[COSINE] < 0.5);
+/// let (light, density) = lobes.sample_direction(Vec3::Z, Vec3::new(0.1, 0.2, 0.3)).unwrap();
+/// assert!((lobes.pdf(light, Vec3::Z) - density).abs() < 0.01 * density);
+/// # Ok::<(), glimt_core::Error>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lobes {
     alpha: [[f32; 2]; GGX_LOBES],
