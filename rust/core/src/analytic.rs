@@ -14,7 +14,7 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use crate::brdf::{Brdf, is_lit};
-use crate::model::Model;
+use crate::model::{Model, spelled};
 
 /// Largest f: parameters may be anything, f is finite.
 const MAX_F: f64 = 1e12;
@@ -249,6 +249,10 @@ impl Analytic {
 
 impl Model for Analytic {
     const KIND: &'static str = "analytic";
+
+    fn describe(&self) -> String {
+        format!("Lambert and {}", spelled(&self.parameters.specular.lobe()))
+    }
 
     fn is_isotropic(&self) -> bool {
         true

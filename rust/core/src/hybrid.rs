@@ -20,7 +20,7 @@ use crate::ggx::Ggx;
 use crate::kernel::{Kernel, splat3};
 use crate::math::{exp, ln, sigmoid};
 use crate::microfacet::{Half, Microfacet};
-use crate::model::Model;
+use crate::model::{Model, spelled};
 use crate::network::{Network, One, Rows, check_latent};
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 
@@ -351,6 +351,12 @@ impl Hybrid {
 
 impl Model for Hybrid {
     const KIND: &'static str = "hybrid";
+
+    fn describe(&self) -> String {
+        let Form { inputs, analytic_input, composition } = &self.form;
+        let logarithm = if *analytic_input { " and ln f_a" } else { "" };
+        format!("{} inputs{logarithm}, {}", spelled(inputs), spelled(composition))
+    }
 
     fn is_isotropic(&self) -> bool {
         self.form.inputs.is_isotropic() && self.microfacet.is_isotropic()

@@ -1,5 +1,7 @@
 //! What the faces and the model library ask of every model, beyond its reflectance.
 
+use serde::Serialize;
+
 use crate::brdf::Brdf;
 use crate::microfacet::Microfacet;
 use crate::network::Network;
@@ -9,6 +11,9 @@ use crate::sampler::Plan;
 pub trait Model: Brdf + Clone {
     /// The model's name as files and commands spell it.
     const KIND: &'static str;
+
+    /// Its form in a few words, for people: what no number of a single material tells.
+    fn describe(&self) -> String;
 
     /// How a material of this model is sampled where nothing else is asked for.
     fn plan(&self) -> Plan {
@@ -60,5 +65,13 @@ pub trait Model: Brdf + Clone {
     /// In words that go on from the names of the two, why they cannot be mixed.
     fn mix(&self, _other: &Self, _t: f32) -> Result<Self, String> {
         Err(format!("cannot be mixed: a {} material has no parameters between which to go", Self::KIND))
+    }
+}
+
+/// A variant as files spell it.
+pub(crate) fn spelled(variant: &impl Serialize) -> String {
+    match serde_json::to_value(variant) {
+        Ok(serde_json::Value::String(name)) => name,
+        other => format!("{other:?}"),
     }
 }

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::model::Model;
+use crate::model::{Model, spelled};
 use lookup::Tables;
 
 /// Bins of √θ_h over 0° to 90°.
@@ -192,6 +192,11 @@ impl Factor {
 
 impl Model for Factor {
     const KIND: &'static str = "factor";
+
+    fn describe(&self) -> String {
+        let Form { variant, interpolation } = self.form();
+        format!("{}, {} in {HALF_BINS} × {DIFF_BINS} bins", spelled(&variant), spelled(&interpolation))
+    }
 
     fn is_isotropic(&self) -> bool {
         true

@@ -99,6 +99,9 @@ struct Header {
     /// The activation of the networks, where the model has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     activation: Option<String>,
+    /// [`Library::digest`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    digest: Option<String>,
     materials: Vec<MaterialHeader>,
 }
 
@@ -122,6 +125,7 @@ const COLOR_SPACE: &str = "linear sRGB";
 pub struct Library {
     path: PathBuf,
     entries: Vec<Entry>,
+    digest: Option<String>,
 }
 
 impl Library {
@@ -131,7 +135,7 @@ impl Library {
     /// # Errors
     /// [`Error::Format`] if there is no material, a name is empty or that of two, or models differ.
     pub fn new(path: impl Into<PathBuf>, entries: Vec<Entry>) -> Result<Self, Error> {
-        let library = Library { path: path.into(), entries };
+        let library = Library { path: path.into(), entries, digest: None };
         library.check().map_err(|reason| Error::Format { path: library.path.clone(), reason })?;
         Ok(library)
     }
@@ -180,8 +184,9 @@ impl Library {
     /// [`Error::Format`] with what was found and what was expected.
     pub fn from_bytes(path: impl Into<PathBuf>, bytes: &[u8]) -> Result<Self, Error> {
         let path = path.into();
-        let entries = decode(bytes).map_err(|reason| Error::Format { path: path.clone(), reason })?;
-        Library::new(path, entries)
+        let (entries, digest) =
+            decode(bytes).map_err(|reason| Error::Format { path: path.clone(), reason })?;
+        Ok(Library::new(path, entries)?.with_digest(digest))
     }
 
     /// Writes the library to its path: whole, or not at all.
@@ -209,6 +214,19 @@ impl Library {
         &self.path
     }
 
+    /// What whoever made the library left in its header to recognise it by.
+    #[must_use]
+    pub fn digest(&self) -> Option<&str> {
+        self.digest.as_deref()
+    }
+
+    /// The same library with this to recognise it by. A library of other materials, or of more, is a new one
+    /// without it.
+    #[must_use]
+    pub fn with_digest(self, digest: Option<String>) -> Library {
+        Library { digest, ..self }
+    }
+
     /// The materials in the file's order.
     #[must_use]
     pub fn entries(&self) -> &[Entry] {
@@ -219,6 +237,13 @@ impl Library {
     #[must_use]
     pub fn kind(&self) -> Kind {
         self.entries[0].material.kind()
+    }
+
+    /// What its materials have in common and no tensor's shape tells, as the header has it; `None` for models that
+    /// have nothing of the kind.
+    #[must_use]
+    pub fn form(&self) -> Option<Value> {
+        form(&self.entries[0].material)
     }
 
     /// Names of the materials in the file's order.
@@ -297,6 +322,7 @@ impl Library {
             color_space: COLOR_SPACE.to_owned(),
             form: form(&self.entries[0].material),
             activation: activation(&self.entries[0].material).map(|activation| activation.name().to_owned()),
+            digest: self.digest.clone(),
             materials: self
                 .entries
                 .iter()
@@ -358,7 +384,7 @@ impl Architecture {
     }
 }
 
-fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
+fn decode(bytes: &[u8]) -> Result<(Vec<Entry>, Option<String>), String> {
     let container = |e: safetensors::SafeTensorError| {
         format!("as a safetensors file of {} bytes it is broken or cut off: {e}", bytes.len())
     };
@@ -385,12 +411,8 @@ fn decode(bytes: &[u8]) -> Result<Vec<Entry>, String> {
     let names = header.materials.iter().map(|material| material.name.as_str()).collect();
     let activation = header.activation.as_deref().map(activation_named).transpose()?;
     let materials = decode_materials(&header, &Tensors { file, names, activation })?;
-    Ok(header
-        .materials
-        .into_iter()
-        .zip(materials)
-        .map(|(MaterialHeader { name, origin }, material)| Entry { name, material, origin })
-        .collect())
+    let entry = |(MaterialHeader { name, origin }, material)| Entry { name, material, origin };
+    Ok((header.materials.into_iter().zip(materials).map(entry).collect(), header.digest))
 }
 
 fn activation_named(name: &str) -> Result<Activation, String> {

@@ -24,13 +24,13 @@ use glam::Vec3;
 
 use crate::kernel::{Kernel, splat3};
 use crate::math::exp;
-use crate::model::Model;
+use crate::model::{Model, spelled};
 use crate::network::{Network, One, Rows};
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 use look_up::MAX_INPUTS;
 use products::{FirstLayer, Products};
 use store::Store;
-use tables::{Grids, Layout, MAX_TABLES, Taps};
+use tables::{Form, Grids, Layout, MAX_TABLES, Taps};
 
 /// Where f turns from linear to exponential in the network's output.
 pub const OUTPUT_SCALE: f32 = 0.003;
@@ -168,6 +168,19 @@ impl Spherical {
 
 impl Model for Spherical {
     const KIND: &'static str = "spherical";
+
+    fn describe(&self) -> String {
+        let Form { grids, pixelation, nside, nodes, features, interpolation } = self.layout.form();
+        let lists = if grids == Grids::Iso { format!(", {nodes} nodes") } else { String::new() };
+        format!(
+            "grids {}, {} of N_side {}{lists}, {features} features as {}, {}",
+            grids.name(),
+            spelled(&pixelation),
+            nside.nside(),
+            self.features.store.kind(),
+            spelled(&interpolation)
+        )
+    }
 
     fn is_isotropic(&self) -> bool {
         self.layout.form().grids == Grids::Iso
