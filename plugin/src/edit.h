@@ -11,7 +11,7 @@ namespace dr = drjit;
 /**
  * \brief What an edit makes of a hybrid material, as Dr.Jit traces it
  *
- * The counterpart of rust/core/src/edit.rs, in the same forms; the reasons for them stand there. Where nothing
+ * The counterpart of rust/core/src/models/edit.rs, in the same forms; the reasons for them stand there. Where nothing
  * is edited, the pair stays as it is and all ratios are 1.
  */
 template <typename Float> struct TracedEdit {
@@ -61,7 +61,7 @@ template <typename Float> struct TracedEdit {
         using UInt32 = dr::uint32_array_t<Float>;
         const uint32_t steps = (uint32_t) dr::width(shares) - 1;
         auto share = [&](const Float &cos) {
-            // See rust/core/src/elevations.rs.
+            // See rust/core/src/directions/elevations.rs.
             Float c = dr::clip(dr::detach(cos), 0.f, 1.f);
             Float place = (dr::sqrt(c) + c / (1.f + dr::sqrt(1.f - c))) * (.5f * (float) steps);
             UInt32 knot = dr::minimum(UInt32(place), steps - 1);
@@ -77,7 +77,7 @@ private:
         return dr::select(x > 0.f, dr::sqrt(dr::select(x > 0.f, x, 1.f)), 0.f);
     }
 
-    /// See rust/core/src/edit.rs.
+    /// See rust/core/src/models/edit.rs.
     static constexpr float Floor = .05f * dr::InvPi<float>, Aside = .7f, MinCos = 1e-3f;
 };
 

@@ -14,7 +14,7 @@ namespace dr = drjit;
 /**
  * \brief What a network sees of a pair of directions, as Dr.Jit traces it
  *
- * The counterpart of rust/core/src/features.rs, in the same forms; the reasons for them stand there.
+ * The counterpart of rust/core/src/directions/features.rs, in the same forms; the reasons for them stand there.
  */
 template <typename Float> class TracedFeatures {
 public:

@@ -431,10 +431,10 @@ private:
 
     /// Without a traced form, evaluation and sampling need the call from inside a kernel.
     void require_call() const {
-        const bool is_traced = m_material->has_traced_form() && m_has_lobes;
+        const bool is_traced = m_model.exists() && m_has_lobes;
         if (!dr::is_jit_v<Float> || is_traced)
             return;
-        const char *what = m_material->has_traced_form() ? "has a sampler" : "is of a model";
+        const char *what = m_model.exists() ? "has a sampler" : "is of a model";
         if constexpr (HasKernelCall) {
             if (!m_call_works || (!m_has_lobes && !sampler_call_works()))
                 Throw("glimt: \"%s\" of \"%s\" %s that is computed by a call from inside the compiled kernel, "
@@ -451,7 +451,7 @@ private:
         static std::atomic<State> state { Unknown };
         const bool was_known = state != Unknown;
         const bool works = remembered(state, [&] { return m_call.works(); });
-        if (!was_known && !works && m_material->has_traced_form())
+        if (!was_known && !works && m_model.exists())
             Log(Warn, "The call from inside a kernel is not available (packets of %u lanes); the model is "
                       "traced instead, which is slower.", jit_llvm_vector_width());
         return works;
@@ -536,7 +536,7 @@ private:
                 if (calls_from_kernel(light, view))
                     return m_call.eval(light, view, active);
             }
-            return m_model.eval(light, view, { m_kd, m_eta, alpha() }, m_latent, m_room, active);
+            return m_model.eval(light, view, { { m_kd, m_eta, alpha() }, m_latent, m_room }, active);
         }
     }
 
@@ -603,9 +603,9 @@ private:
     bool calls_from_kernel(const Vector3f &wi, const Vector3f &wo) const {
         if (!calls_from_kernel() || !dr::grad_enabled(wi, wo, m_kd, m_eta, m_alpha, m_latent))
             return calls_from_kernel();
-        if (!m_material->has_traced_form())
+        if (!m_model.exists())
             warn_of_detached_values();
-        return !m_material->has_traced_form();
+        return !m_model.exists();
     }
 
     /// Once for every material: a derivative that is silently 0 costs its user an afternoon.
@@ -632,7 +632,7 @@ private:
     Vector2f m_alpha;
     bool m_isotropic = true;
     FloatStorage m_latent;
-    /// What an edit leaves of the network's correction, see rust/core/src/edit.rs.
+    /// What an edit leaves of the network's correction, see rust/core/src/models/edit.rs.
     FloatStorage m_room;
 
     /// The parameters of \c m_material, to return to when an update is refused.

@@ -15,7 +15,7 @@ namespace dr = drjit;
  * \brief The sampler of every glimt model as Dr.Jit traces it: the visible normals of GGX distributions and a
  * cosine lobe, mixed in shares that follow the view
  *
- * The counterpart of rust/core/src/lobes, number for number.
+ * The counterpart of rust/core/src/sampling/lobes, number for number.
  */
 template <typename Float> struct TracedLobes {
     using Mask     = dr::mask_t<Float>;

@@ -2,7 +2,7 @@
 //! part does now, and everything.
 
 use glam::Vec3;
-use glimt_core::ggx::Ggx;
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{Material, SampleBrdf};
 
 use crate::verdict::{Finding, Measure, Test};

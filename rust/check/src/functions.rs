@@ -2,11 +2,11 @@
 //! of what it computes. A budget is the largest error that a function may be blamed for.
 
 use glam::{DVec3, Vec3};
-use glimt_core::features::{self, Inputs, MAX_FEATURES};
-use glimt_core::hybrid::Composition;
-use glimt_core::lobes::{self, GGX_LOBES, KNOTS, Lobes};
-use glimt_core::math::{self, EXP_MAX, EXP_MIN};
-use glimt_core::microfacet::{self, ETA_RANGE, Half, MIN_ALPHA, Microfacet};
+use glimt_core::directions::features::{self, Inputs, MAX_FEATURES};
+use glimt_core::microfacet::{self, ETA_RANGE, Half, MIN_ALPHA, Microfacet, Roughness};
+use glimt_core::models::hybrid::Composition;
+use glimt_core::sampling::lobes::{self, GGX_LOBES, KNOTS, Lobes};
+use glimt_core::simd::math::{self, EXP_MAX, EXP_MIN};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -124,9 +124,14 @@ pub const FUNCTIONS: &[Function] = &[
         unit: Unit::Result,
         compare: |rng, unit, worst| {
             let ((l, v), p) = (directions(rng), parameters(rng));
-            pair(worst, unit, l, v, Half::new(l.to_array(), v.to_array()).ndf(p.alpha), |l, v| {
-                microfacet::reference::ndf((l + v).normalize().into(), p.alpha.map(f64::from))
-            });
+            pair(
+                worst,
+                unit,
+                l,
+                v,
+                Half::new(l.to_array(), v.to_array()).ndf(&Roughness::new(p.alpha)),
+                |l, v| microfacet::reference::ndf((l + v).normalize().into(), p.alpha.map(f64::from)),
+            );
         },
     },
     Function {

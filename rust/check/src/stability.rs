@@ -2,8 +2,8 @@
 //! for all of them, and how far the results are from float64.
 
 use glam::Vec3;
-use glimt_core::network::{Layer, Network};
-use glimt_core::sampler::Plan;
+use glimt_core::kernels::network::{Layer, Network};
+use glimt_core::sampling::Plan;
 use glimt_core::simd::{LANES, Lane3};
 use glimt_core::{Brdf, Material, Sample, SampleBrdf, is_lit};
 use rand::{RngExt, SeedableRng};

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use glimt_check::edits::EditLaw;
 use glimt_check::verdict::{Finding, Measure};
-use glimt_core::edit::{Albedos, Views};
-use glimt_core::ggx::Ggx;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::edit::{Albedos, Views};
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{Library, Material};
 use rayon::prelude::*;
 

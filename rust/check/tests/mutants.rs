@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use glam::Vec3;
 use glimt_check::{Answer, Claims, Component, Draw, Options, Part, Report, Subject, Test, Verdict, check};
 use glimt_core::is_lit;
-use glimt_core::lobes::{COSINE, GGX_LOBES, KNOTS, Lobes, VisibleNormals};
 use glimt_core::microfacet::Microfacet;
+use glimt_core::sampling::lobes::{COSINE, GGX_LOBES, KNOTS, Lobes, VisibleNormals};
 
 /// One way to be broken.
 #[derive(Clone, Copy, Debug, PartialEq)]

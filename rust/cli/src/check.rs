@@ -7,7 +7,7 @@ use clap::builder::NonEmptyStringValueParser;
 use glimt_check::edits::EditLaw;
 use glimt_check::{BrdfSubject, Claims, Options, Report};
 use glimt_core::Material;
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::sampling::SamplerChoice;
 use glimt_files::Source;
 
 use crate::edit::{self, Edit};

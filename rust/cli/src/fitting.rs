@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, bail};
-use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{AnyModel, Brdf, Library};
 use glimt_disk::{is_same, printable};
 use glimt_files::{Samples, Source, sha256};

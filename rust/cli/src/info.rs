@@ -4,10 +4,10 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use glimt_core::kernels::network::Network;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::network::Network;
-use glimt_core::sampler::Plan;
-use glimt_core::tabulated::Table;
+use glimt_core::models::tabulated::Table;
+use glimt_core::sampling::Plan;
 use glimt_core::{AnyModel, Library, Material, Oddity, Vec3};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source};

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use anyhow::Result;
 use clap::builder::NonEmptyStringValueParser;
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::sampling::SamplerChoice;
 use glimt_core::{Sample, SampleBrdf, Vec3};
 use glimt_files::Array;
 use rand::{Rng, RngExt};

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Folder, ggx, shared};
-use glimt_core::sampler::Sampler;
+use glimt_core::sampling::Sampler;
 use glimt_core::{Brdf, Library, SampleBrdf, Vec3};
 use glimt_files::{Array, Source};
 

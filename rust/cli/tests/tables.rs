@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Folder, ggx, shared};
-use glimt_core::factor::{Interpolation, Variant};
+use glimt_core::models::factor::{Interpolation, Variant};
 use glimt_core::{AnyModel, Brdf, Kind, Library, SampleBrdf, Vec3};
 use glimt_files::{Array, Source};
 

@@ -7,10 +7,10 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::{Form, Hybrid};
+use glimt_core::directions::features::Inputs;
+use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::models::hybrid::{Form, Hybrid};
 use glimt_core::{Brdf, SampleBrdf, Vec3};
 
 const PAIRS: usize = 4096;

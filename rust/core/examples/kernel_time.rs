@@ -12,10 +12,10 @@ use std::time::Instant;
 
 use glam::Vec3;
 use glimt_core::Brdf;
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::{Form, Hybrid};
+use glimt_core::directions::features::Inputs;
+use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::models::hybrid::{Form, Hybrid};
 use glimt_core::simd::{isa_name, multiply_adds};
 
 const PAIRS: usize = 4096;

@@ -14,14 +14,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use glam::Vec3;
-use glimt_core::network::{Activation, Layer, MAX_WIDTH, Network, Rows};
+use glimt_core::kernels::network::{Activation, Layer, MAX_WIDTH, Network, Rows};
+use glimt_core::models::spherical::pixelation::Pixelation::{self, Healpix, LatLong};
+use glimt_core::models::spherical::store::{Codebook, Store};
+use glimt_core::models::spherical::tables::Grids::{Hd, Iso, Lv};
+use glimt_core::models::spherical::tables::Interpolation::{Bilinear, Constant, InverseDistance};
+use glimt_core::models::spherical::tables::{Form, Grids, Interpolation, Layout};
+use glimt_core::models::spherical::{Features, Spherical};
 use glimt_core::simd::{Lane, Lanes, isa_name, multiply_adds};
-use glimt_core::spherical::pixelation::Pixelation::{self, Healpix, LatLong};
-use glimt_core::spherical::store::{Codebook, Store};
-use glimt_core::spherical::tables::Grids::{Hd, Iso, Lv};
-use glimt_core::spherical::tables::Interpolation::{Bilinear, Constant, InverseDistance};
-use glimt_core::spherical::tables::{Form, Grids, Interpolation, Layout};
-use glimt_core::spherical::{Features, Spherical};
 use glimt_core::{Brdf, dispatch};
 use half::f16;
 

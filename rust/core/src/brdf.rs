@@ -117,15 +117,15 @@ pub fn is_lit(light: Vec3, view: Vec3) -> bool {
 #[must_use]
 pub fn lit<F: Real>(light: [F; 3], view: [F; 3]) -> F::Mask {
     // Comparisons with NaN are false.
-    light[0].both(is_direction_above(light), is_direction_above(view))
+    light[0].and(is_direction_above(light), is_direction_above(view))
 }
 
 #[inline(always)]
 fn is_direction_above<F: Real>(v: [F; 3]) -> F::Mask {
     let square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
     let [least, most] = [square.splat(LENGTH_SQUARED[0]), square.splat(LENGTH_SQUARED[1])];
-    let is_direction = square.both(least.less(square), square.less(most));
-    square.both(is_direction, square.splat(0.0).less(v[2]))
+    let is_direction = square.and(least.lt(square), square.lt(most));
+    square.and(is_direction, square.splat(0.0).lt(v[2]))
 }
 
 /// Sets the lanes of `f` that [`is_lit`] rejects to 0.

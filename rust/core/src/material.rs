@@ -11,23 +11,23 @@ use std::sync::{Arc, OnceLock};
 use glam::Vec3;
 
 use crate::brdf::{Brdf, Sample, SampleBrdf};
+use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
-use crate::model::Model;
-use crate::network::Network;
+use crate::models::Model;
 use crate::oddity::Oddity;
-use crate::sampler::{Plan, Sampler, SamplerChoice};
-use crate::simd::Lane3;
+use crate::sampling::{Plan, Sampler, SamplerChoice};
+use crate::simd::{LANES, Lane3};
 
 /// Makes what goes over all models from the list of their modules and types. `$d` is a dollar sign, for the
 /// macros that are made.
 macro_rules! models {
     ($d:tt $($module:ident::$model:ident,)+) => {
-        $(use crate::$module::$model;)+
+        $(use crate::models::$module::$model;)+
 
         /// Which model a material is of.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum Kind {$(
-            #[doc = concat!("See [`crate::", stringify!($module), "`].")]
+            #[doc = concat!("See [`crate::models::", stringify!($module), "`].")]
             $model,
         )+}
 
@@ -45,7 +45,7 @@ macro_rules! models {
         /// Any model.
         #[derive(Clone, Debug)]
         pub enum AnyModel {$(
-            #[doc = concat!("See [`crate::", stringify!($module), "`].")]
+            #[doc = concat!("See [`crate::models::", stringify!($module), "`].")]
             $model($model),
         )+}
 
@@ -93,7 +93,7 @@ macro_rules! models {
             ($d kind:expr, $d Type:ident => $d body:expr) => {
                 match $d kind {$(
                     $crate::material::Kind::$model => {
-                        type $d Type = $crate::$module::$model;
+                        type $d Type = $crate::models::$module::$model;
                         $d body
                     }
                 )+}
@@ -158,6 +158,28 @@ impl Material {
         self.model.kind()
     }
 
+    /// Whether lanes of this material and lanes of `other` can be in one tile.
+    #[must_use]
+    pub fn shares_tiles_with(&self, other: &Material) -> bool {
+        with_model!(&self.model, model => {
+            of_model_of(model, other).is_some_and(|other| model.shares_tiles_with(other))
+        })
+    }
+
+    /// f_r in every lane, of that lane's material: [`Brdf::eval_tile`] for materials with each of which the first
+    /// [shares tiles](Material::shares_tiles_with). Every lane gets the very value that its material gives alone.
+    pub fn eval_mixed_tile(materials: &[&Material; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        let first = materials[0];
+        if materials.iter().all(|material| std::ptr::eq(*material, first)) {
+            first.eval_tile(light, view, out);
+            return;
+        }
+        with_model!(&first.model, model => {
+            let models = materials.map(|material| of_model_of(model, material).unwrap_or(model));
+            Model::eval_mixed_tile(&models, light, view, out);
+        });
+    }
+
     /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {
@@ -179,7 +201,10 @@ impl Material {
     /// The sampler, which the first call makes.
     #[must_use]
     pub fn sampler(&self) -> &Sampler {
-        self.sampler.get_or_init(|| with_model!(&self.model, model => self.plan.make(model)))
+        let alpha = self.microfacet().map(|microfacet| microfacet.alpha);
+        let make =
+            || with_model!(&self.model, model => self.plan.make(model, Model::is_isotropic(model), alpha));
+        self.sampler.get_or_init(make)
     }
 
     /// What the sampler is or will be.
@@ -245,24 +270,27 @@ impl Material {
     /// # Errors
     /// See [`Model::mix`]; also for materials of two models and a share outside [0, 1].
     pub fn mix(&self, other: &Material, t: f32) -> Result<Material, String> {
-        fn mix<'a, M: Model + 'a>(a: &M, b: &'a Material, t: f32) -> Result<AnyModel, String>
-        where
-            &'a M: TryFrom<&'a Material>,
-            AnyModel: From<M>,
-        {
-            let same = b.try_into().map_err(|_| "are of two models, and only one model's mix".to_owned());
-            a.mix(same?, t).map(AnyModel::from)
-        }
         match t {
             0.0 => Ok(self.clone()),
             1.0 => Ok(other.clone()),
             _ if t > 0.0 && t < 1.0 => {
-                let mixed = with_model!(&self.model, model => mix(model, other, t))?;
+                let mixed = with_model!(&self.model, model => {
+                    let other = of_model_of(model, other).ok_or("are of two models, and only one model's mix")?;
+                    model.mix(other, t).map(AnyModel::from)
+                })?;
                 Ok(Material::planned(mixed, self.plan.clone()))
             }
             _ => Err(format!("are mixed with a weight of {t}, expected one in [0, 1]")),
         }
     }
+}
+
+/// The model of `material`, if it is of the same as `_model`.
+fn of_model_of<'a, M>(_model: &M, material: &'a Material) -> Option<&'a M>
+where
+    &'a M: TryFrom<&'a Material>,
+{
+    material.try_into().ok()
 }
 
 impl Brdf for Material {

@@ -15,15 +15,15 @@ pub const MIN_ALPHA: f32 = 1e-4;
 /// Range of the relative index of refraction (the paper, §3.2).
 pub const ETA_RANGE: [f32; 2] = [1.0, 10.0];
 
-/// Parameters p = (k_d, η, α) of the analytic BRDF.
+/// Parameters p = (k_d, η, α) of the analytic BRDF: those of a material, or in lanes another set in each.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Microfacet {
+pub struct Microfacet<F = f32> {
     /// Diffuse albedo per channel, linear RGB, in [0, 1].
-    pub kd: [f32; 3],
+    pub kd: [F; 3],
     /// Relative index of refraction per channel, in [1, 10].
-    pub eta: [f32; 3],
+    pub eta: [F; 3],
     /// GGX roughness along x and y, in [[`MIN_ALPHA`], 1].
-    pub alpha: [f32; 2],
+    pub alpha: [F; 2],
 }
 
 impl Microfacet {
@@ -72,27 +72,95 @@ impl Microfacet {
         Microfacet { kd: [kd(0), kd(1), kd(2)], eta: [eta(0), eta(1), eta(2)], alpha: [alpha(0), alpha(1)] }
     }
 
-    /// f_a for directions above the horizon. Branch-free, in any number of lanes.
+    /// f_a for directions above the horizon, of this material in every lane.
     #[inline(always)]
     #[must_use]
     pub fn eval<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [F; 3] {
+        self.terms().splat(light[0]).eval(light, view)
+    }
+}
+
+impl<F: Real> Microfacet<F> {
+    /// What f_a needs of the parameters.
+    #[inline(always)]
+    #[must_use]
+    pub fn terms(&self) -> Terms<F> {
+        let [r, g, b] = self.kd;
+        let diffuse = [r * FRAC_1_PI, g * FRAC_1_PI, b * FRAC_1_PI];
+        Terms { diffuse, eta: self.eta, roughness: Roughness::new(self.alpha) }
+    }
+}
+
+/// What f_a needs of [`Microfacet`], in any number of lanes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Terms<F = f32> {
+    /// k_d/π, in sr⁻¹.
+    pub diffuse: [F; 3],
+    /// η.
+    pub eta: [F; 3],
+    /// What depends on α.
+    pub roughness: Roughness<F>,
+}
+
+impl Terms {
+    /// How many numbers they are.
+    pub const COUNT: usize = 6 + Roughness::COUNT;
+
+    /// The same in every lane.
+    #[inline(always)]
+    #[must_use]
+    pub fn splat<F: Real>(&self, like: F) -> Terms<F> {
+        Terms {
+            diffuse: splat3(self.diffuse, like),
+            eta: splat3(self.eta, like),
+            roughness: self.roughness.splat(like),
+        }
+    }
+}
+
+impl<F: Copy> Terms<F> {
+    /// The numbers in a row.
+    #[inline(always)]
+    #[must_use]
+    pub fn to_row(&self) -> [F; Terms::COUNT] {
+        let ([d0, d1, d2], [e0, e1, e2]) = (self.diffuse, self.eta);
+        let [r0, r1, r2, r3, r4] = self.roughness.to_row();
+        [d0, d1, d2, e0, e1, e2, r0, r1, r2, r3, r4]
+    }
+
+    /// From [`Terms::to_row`].
+    #[inline(always)]
+    #[must_use]
+    pub fn from_row([d0, d1, d2, e0, e1, e2, r0, r1, r2, r3, r4]: [F; Terms::COUNT]) -> Self {
+        let roughness = Roughness::from_row([r0, r1, r2, r3, r4]);
+        Terms { diffuse: [d0, d1, d2], eta: [e0, e1, e2], roughness }
+    }
+}
+
+impl<F: Real> Terms<F> {
+    /// f_a for directions above the horizon. Branch-free.
+    #[inline(always)]
+    #[must_use]
+    pub fn eval(&self, light: [F; 3], view: [F; 3]) -> [F; 3] {
         self.eval_half(&Half::new(light, view), light, view)
     }
 
-    /// [`Microfacet::eval`] where the half vector is known.
+    /// [`Terms::eval`] where the half vector is known.
     #[inline(always)]
     #[must_use]
-    pub fn eval_half<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 3] {
-        let shape = self.shape(half, light, view);
+    pub fn eval_half(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 3] {
+        let shape = self.roughness.shape(half, light, view);
         let cos_d = half.cos_d();
         let mut f = [shape; 3];
         for c in 0..3 {
-            f[c] = fresnel(cos_d, shape.splat(self.eta[c])).fma(shape, shape.splat(self.kd[c] * FRAC_1_PI));
+            f[c] = fresnel(cos_d, self.eta[c]).fma(shape, self.diffuse[c]);
         }
         f
     }
+}
 
-    /// [`Microfacet::eval_half`] of one pair, which stands in every lane, with r, g and b in the lanes.
+impl Terms {
+    /// [`Terms::eval_half`] of one pair, which stands in every lane, with r, g and b in the lanes.
     #[inline(always)]
     #[must_use]
     pub fn eval_one<I: Lanes<4>>(
@@ -102,19 +170,76 @@ impl Microfacet {
         light: [Vector<I, 4>; 3],
         view: [Vector<I, 4>; 3],
     ) -> Vector<I, 4> {
-        let shape = self.shape(half, light, view);
-        let ([eta_r, eta_g, eta_b], [kd_r, kd_g, kd_b]) = (self.eta, self.kd);
-        let kd = Vector::load(isa, &[kd_r, kd_g, kd_b, 0.0]);
-        fresnel(half.cos_d(), Vector::load(isa, &[eta_r, eta_g, eta_b, 1.0])).fma(shape, kd * FRAC_1_PI)
+        let shape = self.roughness.splat(light[0]).shape(half, light, view);
+        let ([eta_r, eta_g, eta_b], [diffuse_r, diffuse_g, diffuse_b]) = (self.eta, self.diffuse);
+        let diffuse = Vector::load(isa, &[diffuse_r, diffuse_g, diffuse_b, 0.0]);
+        fresnel(half.cos_d(), Vector::load(isa, &[eta_r, eta_g, eta_b, 1.0])).fma(shape, diffuse)
+    }
+}
+
+/// α, and what D and the networks' features need of it, in any number of lanes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Roughness<F = f32> {
+    /// α.
+    pub alpha: [F; 2],
+    /// 1/α².
+    pub inverse_square: [F; 2],
+    /// 1/(π α_x α_y).
+    pub ndf_scale: F,
+}
+
+impl Roughness {
+    /// How many numbers they are.
+    const COUNT: usize = 5;
+
+    /// The same in every lane.
+    #[inline(always)]
+    #[must_use]
+    pub fn splat<F: Real>(&self, like: F) -> Roughness<F> {
+        let pair = |[x, y]: [f32; 2]| [like.splat(x), like.splat(y)];
+        Roughness {
+            alpha: pair(self.alpha),
+            inverse_square: pair(self.inverse_square),
+            ndf_scale: like.splat(self.ndf_scale),
+        }
+    }
+}
+
+impl<F: Copy> Roughness<F> {
+    #[inline(always)]
+    fn to_row(self) -> [F; Roughness::COUNT] {
+        let ([x, y], [inverse_x, inverse_y]) = (self.alpha, self.inverse_square);
+        [x, y, inverse_x, inverse_y, self.ndf_scale]
+    }
+
+    #[inline(always)]
+    fn from_row([x, y, inverse_x, inverse_y, ndf_scale]: [F; Roughness::COUNT]) -> Self {
+        Roughness { alpha: [x, y], inverse_square: [inverse_x, inverse_y], ndf_scale }
+    }
+}
+
+impl<F: Real> Roughness<F> {
+    /// Of α along x and y.
+    #[inline(always)]
+    #[must_use]
+    pub fn new(alpha: [F; 2]) -> Self {
+        let [x, y] = [alpha[0].reciprocal(), alpha[1].reciprocal()];
+        let ndf_scale = (alpha[0] * PI * alpha[1]).reciprocal();
+        Roughness { alpha, inverse_square: [x * x, y * y], ndf_scale }
     }
 
     /// D G / (4 cosθ_l cosθ_v), which the colour channels share, in sr⁻¹.
     #[inline(always)]
     #[must_use]
-    pub fn shape<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> F {
+    pub fn shape(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> F {
         let masking = masking_denominator(light, self.alpha) * masking_denominator(view, self.alpha);
-        half.ndf(self.alpha) / masking
+        half.ndf(self) / masking
     }
+}
+
+#[inline(always)]
+fn splat3<F: Real>([x, y, z]: [f32; 3], like: F) -> [F; 3] {
+    [like.splat(x), like.splat(y), like.splat(z)]
 }
 
 /// Least z of the sum of two directions that counts. Below it the squares of the sum could vanish.
@@ -169,18 +294,18 @@ impl<F: Real> Half<F> {
     /// at small α.
     #[inline(always)]
     #[must_use]
-    pub fn ndf(&self, alpha: [f32; 2]) -> F {
-        let spread = self.slope(alpha) + self.height;
+    pub fn ndf(&self, roughness: &Roughness<F>) -> F {
+        let spread = self.slope(roughness) + self.height;
         let r = self.length_squared / spread.max(spread.splat(f32::MIN_POSITIVE));
-        r * r * (1.0 / (PI * alpha[0] * alpha[1]))
+        r * r * roughness.ndf_scale
     }
 
     /// (h_x/α_x)² + (h_y/α_y)².
     #[inline(always)]
     #[must_use]
-    pub fn slope(&self, alpha: [f32; 2]) -> F {
-        let [x, y] = [1.0 / alpha[0], 1.0 / alpha[1]];
-        self.tangential[0] * (x * x) + self.tangential[1] * (y * y)
+    pub fn slope(&self, roughness: &Roughness<F>) -> F {
+        let [x, y] = roughness.inverse_square;
+        self.tangential[0] * x + self.tangential[1] * y
     }
 }
 
@@ -190,7 +315,7 @@ impl<F: Real> Half<F> {
 /// division by a cosine that may vanish.
 #[inline(always)]
 #[must_use]
-pub fn masking_denominator<F: Real>(direction: [F; 3], alpha: [f32; 2]) -> F {
+pub fn masking_denominator<F: Real>(direction: [F; 3], alpha: [F; 2]) -> F {
     let [x, y, z] = direction;
     let (x, y) = (x * alpha[0], y * alpha[1]);
     (z + (z * z + x * x + y * y).sqrt()).max(z.splat(f32::MIN_POSITIVE))
@@ -344,7 +469,7 @@ mod tests {
                     let phi = (f64::from(j) + 0.5) / f64::from(n_phi) * std::f64::consts::TAU;
                     let h = [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()].map(|x| x as f32);
                     let d_omega = theta.sin() * d_theta * std::f64::consts::TAU / f64::from(n_phi);
-                    sum += f64::from(Half::new(h, h).ndf(alpha)) * theta.cos() * d_omega;
+                    sum += f64::from(Half::new(h, h).ndf(&Roughness::new(alpha))) * theta.cos() * d_omega;
                 }
             }
             assert!((sum - 1.0).abs() < 1e-4, "α = {alpha:?}: ∫ D cosθ = {sum}");

@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
 use glimt_core::Brdf;
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::{Form, Hybrid, reference};
-use glimt_core::kernel::ONE_MAX_RELATIVE_DIFFERENCE;
+use glimt_core::directions::features::Inputs;
+use glimt_core::kernels::ONE_MAX_RELATIVE_DIFFERENCE;
+use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::models::hybrid::{Form, Hybrid, reference};
 use glimt_core::simd::{InstructionSet, isa_name};
 
 fn material(inputs: Inputs, width: usize, layers: usize) -> Hybrid {

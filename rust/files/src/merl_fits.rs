@@ -5,8 +5,8 @@
 
 use std::path::Path;
 
-use glimt_core::analytic::{Analytic, Parameters, Rgb, Specular};
 use glimt_core::library::{Entry, Origin};
+use glimt_core::models::analytic::{Analytic, Parameters, Rgb, Specular};
 use glimt_core::{Library, Material};
 use glimt_measured::file::read_regular;
 

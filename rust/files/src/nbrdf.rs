@@ -10,8 +10,8 @@ use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glimt_core::nbrdf::{FEATURES, Nbrdf};
-use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::kernels::network::{Activation, Layer, Network};
+use glimt_core::models::nbrdf::{FEATURES, Nbrdf};
 use glimt_measured::file::open_regular;
 
 use crate::error::Error;

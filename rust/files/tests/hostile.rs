@@ -4,12 +4,12 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use glimt_core::factor::{DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation};
-use glimt_core::ggx::Ggx;
-use glimt_core::hybrid::{Form, Hybrid};
+use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::{Activation, Layer, Network};
+use glimt_core::models::factor::{DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation};
+use glimt_core::models::ggx::Ggx;
+use glimt_core::models::hybrid::{Form, Hybrid};
 use glimt_core::{Kind, Library, Material};
 
 #[path = "../../../fuzz/src/readers.rs"]

@@ -3,8 +3,8 @@
 use std::f32::consts::PI;
 use std::path::PathBuf;
 
-use glimt_core::ggx::Ggx;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_files::Source;
 

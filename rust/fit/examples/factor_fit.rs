@@ -7,7 +7,7 @@
 
 use std::time::Instant;
 
-use glimt_core::factor::{Interpolation, Variant};
+use glimt_core::models::factor::{Interpolation, Variant};
 use glimt_core::{Library, Material};
 use glimt_fit::{FactorFit, FactorOptions, fit_factor};
 

@@ -11,9 +11,9 @@ use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use glimt_core::ggx::Ggx;
 use glimt_core::library::Origin;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::ggx::Ggx;
 use glimt_core::simd::{isa_name, multiply_adds};
 use glimt_fit::train::Schedule;
 use glimt_fit::{HybridOptions, Input, Model, Net, Options, Truth, fit};

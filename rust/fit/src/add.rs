@@ -1,9 +1,9 @@
 //! New materials for a finished library: the network stays, z, k_d, η and α are fitted (the paper,
 //! §4.2, "sparse training").
 
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::Hybrid;
+use glimt_core::directions::features::Inputs;
 use glimt_core::library::{Entry, Library, Origin};
+use glimt_core::models::hybrid::Hybrid;
 use glimt_core::{AnyModel, Material};
 use serde::Deserialize;
 

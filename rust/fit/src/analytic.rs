@@ -3,7 +3,7 @@
 //! k_d, η and α have ranges; the optimiser works on numbers that have none. A logistic curve maps
 //! them, so that α, whose scale spans orders of magnitude, moves by ratios where it is small.
 
-use glimt_core::microfacet::{ETA_RANGE, Half, MIN_ALPHA, Microfacet};
+use glimt_core::microfacet::{ETA_RANGE, Half, MIN_ALPHA, Microfacet, Roughness};
 use glimt_core::simd::Real;
 use std::f32::consts::FRAC_1_PI;
 
@@ -96,7 +96,8 @@ impl<F: Real> Derivatives<F> {
     #[must_use]
     pub fn new(p: &Microfacet, light: [F; 3], view: [F; 3]) -> Self {
         let half = Half::new(light, view);
-        let (shape, cos_d) = (p.shape(&half, light, view), half.cos_d());
+        let roughness = Roughness::new(p.alpha).splat(light[0]);
+        let (shape, cos_d) = (roughness.shape(&half, light, view), half.cos_d());
         let mut value = [shape; 3];
         let mut eta = [shape; 3];
         let mut specular = [shape; 3];
@@ -125,10 +126,10 @@ impl<F: Real> Derivatives<F> {
     }
 }
 
-/// ∂/∂α of ln D − ln(masking of light) − ln(masking of view), see [`Microfacet::shape`].
+/// ∂/∂α of ln D − ln(masking of light) − ln(masking of view), see [`Roughness::shape`].
 #[inline(always)]
 fn log_alpha_slopes<F: Real>(half: &Half<F>, alpha: [f32; 2], light: [F; 3], view: [F; 3]) -> [F; 2] {
-    let spread = half.slope(alpha) + half.height;
+    let spread = half.slope(&Roughness::new(alpha).splat(half.height)) + half.height;
     let scale = spread.splat(4.0) / spread.max(spread.splat(f32::MIN_POSITIVE));
     let (l, v) = (log_masking_slopes(light, alpha), log_masking_slopes(view, alpha));
     let mut slopes = l;

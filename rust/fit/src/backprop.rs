@@ -5,7 +5,7 @@
 //! product of two rows. All three are loops over fixed arrays, compiled for each instruction set.
 
 use glimt_core::dispatch;
-use glimt_core::network::{Activation, Layer, add_column};
+use glimt_core::kernels::network::{Activation, Layer, add_column};
 use glimt_core::simd::{LANES, Lane, Lanes, Vector};
 
 /// Columns of lanes in a block.

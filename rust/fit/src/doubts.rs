@@ -243,10 +243,10 @@ fn sure_albedo(material: &Material, view: Vec3) -> Option<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glimt_core::analytic::{Analytic, Parameters, Specular};
-    use glimt_core::ggx::Ggx;
     use glimt_core::library::Origin;
     use glimt_core::microfacet::Microfacet;
+    use glimt_core::models::analytic::{Analytic, Parameters, Specular};
+    use glimt_core::models::ggx::Ggx;
 
     fn of_samples(f: &[Vec3], numbers: usize) -> Vec<Doubt> {
         let directions = vec![Vec3::Z; f.len()];

@@ -5,12 +5,12 @@ use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use glimt_core::Material;
-use glimt_core::ggx::Ggx;
-use glimt_core::hybrid::{Composition, Hybrid};
+use glimt_core::kernels::network::Network;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::network::Network;
-use glimt_core::neural::{Neural, Shared};
+use glimt_core::models::ggx::Ggx;
+use glimt_core::models::hybrid::{Composition, Hybrid};
+use glimt_core::models::neural::{Neural, Shared};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

@@ -1,10 +1,10 @@
 //! The hybrid model as an objective: one network, and p and z for every material (paper, eq. 4).
 
+use glimt_core::directions::features::Inputs;
 use glimt_core::dispatch;
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::{Composition, Form};
-use glimt_core::math::{exp, sigmoid};
 use glimt_core::microfacet::{Half, Microfacet};
+use glimt_core::models::hybrid::{Composition, Form};
+use glimt_core::simd::math::{exp, sigmoid};
 use glimt_core::simd::{LANES, Real, Vector};
 use serde::{Deserialize, Serialize};
 
@@ -241,7 +241,7 @@ dispatch! {
             for c in 0..3 {
                 let a = Vector::load(isa, &outputs[c][column]);
                 let b = Vector::load(isa, &outputs[c + second][column]);
-                composition.compose(a, b, f_a[c], MAX_RESIDUAL).store(&mut model[c][column]);
+                composition.compose(a, b, f_a[c], a.splat(MAX_RESIDUAL)).store(&mut model[c][column]);
             }
         }
     }
@@ -278,7 +278,7 @@ dispatch! {
                     }
                     Composition::Additive => {
                         let zero = one.splat(0.0);
-                        let inside = one.or_else(zero.less(f_a[c] + a), zero);
+                        let inside = Real::select(zero.lt(f_a[c] + a), one, zero);
                         (inside, inside)
                     }
                     Composition::LogMultiplicative => {
@@ -325,7 +325,7 @@ mod tests {
     use super::*;
     use crate::pairs::{self, Drawing};
     use glam::Vec3;
-    use glimt_core::network::Activation;
+    use glimt_core::kernels::network::Activation;
     use glimt_core::{Brdf, is_lit};
 
     /// A lobe about the mirror direction over a base, different in every channel.

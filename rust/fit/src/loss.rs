@@ -1,7 +1,7 @@
 //! What a fit minimises: per pair and channel, a function of the reference f and the model's f̂.
 
-use glimt_core::math::ln;
 use glimt_core::simd::Real;
+use glimt_core::simd::math::ln;
 use serde::{Deserialize, Serialize};
 
 /// The error of f̂ against f at light cosine c, with e = ln(1 + c f̂) − ln(1 + c f):
@@ -31,14 +31,14 @@ impl Loss {
         let model_scale = cos_light.fma(model, one);
         let e = ln(model_scale / cos_light.fma(f, one));
         let e_slope = cos_light / model_scale;
-        let sign = one.or_else(f.less(model), -one);
-        let value = e.magnitude() * self.absolute + e * e * self.squared;
+        let sign = Real::select(f.lt(model), one, -one);
+        let value = e.abs() * self.absolute + e * e * self.squared;
         let slope = (sign * self.absolute + e * (2.0 * self.squared)) * e_slope;
         if self.relative == 0.0 {
             return (value, slope);
         }
         let inverse = (model + f + RELATIVE_FLOOR).reciprocal();
-        let share = (model - f).magnitude() * inverse;
+        let share = (model - f).abs() * inverse;
         let scale = 2.0 * self.relative;
         (value + share * scale, slope + (sign - share) * inverse * scale)
     }

@@ -1,5 +1,5 @@
 //! The neural baseline as an objective: one network and one frame layer, and z for every material
-//! ([`glimt_core::neural`]).
+//! ([`glimt_core::models::neural`]).
 //!
 //! z and the frames are constant in a block, and fold into the first layer as they do at run time:
 //! what runs forward and backward is a network with six Cartesian inputs. The derivatives of its
@@ -7,9 +7,9 @@
 
 use glam::{Mat3, Vec3};
 use glimt_core::dispatch;
-use glimt_core::math::exp;
-use glimt_core::network::{Activation, Layer, Network};
-use glimt_core::neural::{FEATURES, FRAME_OUTPUTS, FRAMES, Shared, frame};
+use glimt_core::kernels::network::{Activation, Layer, Network};
+use glimt_core::models::neural::{FEATURES, FRAME_OUTPUTS, FRAMES, Shared, frame};
+use glimt_core::simd::math::exp;
 use glimt_core::simd::{LANES, Real, Vector};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -304,7 +304,7 @@ dispatch! {
 }
 
 /// From derivatives by the axes, those by the six numbers that became `axes` in
-/// [`glimt_core::neural::frame`]: Gram and Schmidt backwards.
+/// [`glimt_core::models::neural::frame`]: Gram and Schmidt backwards.
 fn offsets_gradient(offsets: &[f32], axes: &Mat3, by_axes: &Mat3) -> [f32; 6] {
     let (tangent, normal) = (axes.x_axis, axes.z_axis);
     let long_normal = Vec3::from_slice(offsets) + Vec3::Z;
@@ -363,9 +363,10 @@ mod tests {
     use crate::train::{Schedule, State, train};
     use crate::truth::Truth;
     use glam::{DMat3, DVec3};
-    use glimt_core::ggx::Ggx;
+    use glimt_core::Brdf;
     use glimt_core::microfacet::Microfacet;
-    use glimt_core::{Brdf, neural::Neural};
+    use glimt_core::models::ggx::Ggx;
+    use glimt_core::models::neural::Neural;
     use std::ops::ControlFlow;
     use std::sync::Arc;
 

@@ -1,10 +1,10 @@
 //! What is fitted, and how.
 
-use glimt_core::features::Inputs;
-use glimt_core::hybrid::{self, Composition};
-use glimt_core::network::Activation;
-use glimt_core::spherical::store::StoreKind;
-use glimt_core::spherical::tables::{Form, Grids};
+use glimt_core::directions::features::Inputs;
+use glimt_core::kernels::network::Activation;
+use glimt_core::models::hybrid::{self, Composition};
+use glimt_core::models::spherical::store::StoreKind;
+use glimt_core::models::spherical::tables::{Form, Grids};
 use serde::{Deserialize, Serialize};
 
 use crate::adamw::AdamW;

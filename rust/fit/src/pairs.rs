@@ -10,8 +10,9 @@
 use std::f32::consts::{FRAC_1_PI, TAU};
 
 use glam::Vec3;
+use glimt_core::Brdf;
+use glimt_core::sampling::lobes::VisibleNormals;
 use glimt_core::simd::{LANES, Lane3};
-use glimt_core::{Brdf, lobes::VisibleNormals};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;

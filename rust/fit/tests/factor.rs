@@ -1,8 +1,8 @@
 //! Laws of the fits of factor tables, on materials whose factors are known.
 
-use glimt_core::factor::{Factor, Factors, Interpolation, Product, Variant};
-use glimt_core::ggx::Ggx;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::factor::{Factor, Factors, Interpolation, Product, Variant};
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{Brdf, Vec3};
 use glimt_fit::{FactorOptions, fit_factor};
 

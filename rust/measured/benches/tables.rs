@@ -5,9 +5,11 @@ use std::hint::black_box;
 use std::path::Path;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use glimt_core::factor::{Curve, DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation as Between, Product};
-use glimt_core::ggx::Ggx;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::factor::{
+    Curve, DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation as Between, Product,
+};
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_measured::Measured;
 use glimt_measured::merl::{Interpolation, Merl};

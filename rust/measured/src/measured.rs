@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::Vec3;
-use glimt_core::tabulated::{Table, Tabulated};
+use glimt_core::models::tabulated::{Table, Tabulated};
 use glimt_core::{Brdf, Material, Oddity};
 
 use crate::error::Error;

@@ -16,11 +16,11 @@ use std::ops::{Add, Mul};
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use glimt_core::kernel::Kernel;
-use glimt_core::math::angle;
+use glimt_core::kernels::Kernel;
 use glimt_core::microfacet::MIN_SUM_Z;
+use glimt_core::models::tabulated::Table;
+use glimt_core::simd::math::angle;
 use glimt_core::simd::{Isa, Lanes, Real, Vector};
-use glimt_core::tabulated::Table;
 use glimt_core::{Brdf, Oddity, is_lit};
 
 use crate::error::Error;
@@ -272,15 +272,15 @@ fn position<F: Real>(light: [F; 3], view: [F; 3]) -> [F; 3] {
     // The azimuth of the light about the half vector, from the plane of half vector and normal; that
     // plane is y = 0 if the two coincide.
     let zero = length.splat(0.0);
-    let is_tilted = zero.less(across);
-    let x = (sum[0] / across).or_else(is_tilted, length.splat(1.0));
-    let y = (sum[1] / across).or_else(is_tilted, zero);
+    let is_tilted = zero.lt(across);
+    let x = Real::select(is_tilted, sum[0] / across, length.splat(1.0));
+    let y = Real::select(is_tilted, sum[1] / across, zero);
     let (sin_half, cos_half) = (across / length, sum[2] / length);
     let along = (light[0] * x + light[1] * y) * cos_half - light[2] * sin_half;
     let beside = light[1] * x - light[0] * y;
     let phi_diff = angle(beside.max(-beside), along.max(-along));
     // The other half of the circle is the same by reciprocity.
-    let phi_diff = (-(phi_diff - PI as f32)).or_else((along * beside).less(zero), phi_diff);
+    let phi_diff = Real::select((along * beside).lt(zero), -(phi_diff - PI as f32), phi_diff);
 
     let bins = BINS.map(|bins| bins as f32);
     [

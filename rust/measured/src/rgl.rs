@@ -22,8 +22,8 @@ use std::f32::consts::{FRAC_1_PI, FRAC_2_PI, FRAC_PI_2, PI, TAU};
 use std::path::Path;
 
 use glam::{Vec2, Vec3, Vec4};
-use glimt_core::sampler::DirectionSampler;
-use glimt_core::tabulated::Table;
+use glimt_core::models::tabulated::Table;
+use glimt_core::sampling::DirectionSampler;
 use glimt_core::{Brdf, Oddity, is_lit};
 
 use crate::error::Error;

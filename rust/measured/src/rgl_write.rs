@@ -303,10 +303,10 @@ fn slice(
 mod tests {
     use super::*;
     use crate::rgl::Rgl;
-    use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
-    use glimt_core::sampler::DirectionSampler;
-    use glimt_core::tabulated::Table;
+    use glimt_core::models::ggx::Ggx;
+    use glimt_core::models::tabulated::Table;
+    use glimt_core::sampling::DirectionSampler;
 
     fn ggx(alpha: [f32; 2]) -> Ggx {
         Ggx::new(Microfacet { kd: [0.3, 0.1, 0.02], eta: [1.6; 3], alpha }).unwrap()

@@ -18,7 +18,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use glimt_core::tabulated::Table;
+use glimt_core::models::tabulated::Table;
 use glimt_core::{Brdf, Oddity, is_lit};
 
 use crate::error::Error;

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use glimt_core::sampler::DirectionSampler;
-use glimt_core::tabulated::Table;
+use glimt_core::models::tabulated::Table;
+use glimt_core::sampling::DirectionSampler;
 use glimt_core::{Brdf, Oddity, Vec3};
 use glimt_measured::tensor::{Field, TensorFile};
 use glimt_measured::{Error, Measured, Rgl, write_merl, write_utia};

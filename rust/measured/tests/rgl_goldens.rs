@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use glimt_core::sampler::DirectionSampler;
+use glimt_core::sampling::DirectionSampler;
 use glimt_core::{Brdf, Vec3};
 use glimt_measured::Rgl;
 

@@ -4,7 +4,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::Path;
 
 use glam::{DVec2, DVec3, Vec2};
-use glimt_core::tabulated::Table;
+use glimt_core::models::tabulated::Table;
 use glimt_core::{Brdf, Oddity, SampleBrdf, Vec3};
 use glimt_measured::grid::{Directions, Extent};
 use glimt_measured::spectrum;

@@ -5,12 +5,15 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::SystemTime;
 
-use glimt_core::edit::Room;
+use glimt_core::directions::features;
+use glimt_core::kernels::network;
 use glimt_core::library::{Entry, mix_name};
-use glimt_core::sampler::{Plan, SamplerChoice};
-use glimt_core::{
-    AnyModel, Brdf, Kind, Library, Sample, SampleBrdf, Vec3, features, hybrid, microfacet, network,
-};
+use glimt_core::models::edit::Room;
+use glimt_core::models::hybrid;
+use glimt_core::models::nbrdf::Nbrdf;
+use glimt_core::models::neural::Neural;
+use glimt_core::sampling::{Plan, SamplerChoice};
+use glimt_core::{AnyModel, Brdf, Kind, Library, Model, Sample, SampleBrdf, Vec3, microfacet};
 use glimt_disk::printable;
 use glimt_files::Source;
 
@@ -85,20 +88,32 @@ mod ffi {
         activation: Activation,
     }
 
-    /// All that it takes to evaluate a model elsewhere, apart from its editable parameters.
-    struct Model {
-        kind: Kind,
+    /// All that it takes to trace a hybrid, apart from its editable parameters.
+    struct Hybrid {
         network: Network,
-        /// Hybrid and neural: the largest output that counts.
+        /// The largest output that counts.
         bound: f32,
-        /// Hybrid: what the network sees, ln f_a besides or not, and how f is made of its outputs.
+        /// What the network sees, ln f_a besides or not.
         inputs: Inputs,
         analytic_input: bool,
+        /// How f is made of the outputs.
         composition: Composition,
-        /// Hybrid: the analytic part beside which the network was fitted.
+        /// The analytic part beside which the network was fitted.
         fitted: Microfacet,
-        /// Neural: the layer from the latent code to the shading frames.
+    }
+
+    /// The same of a neural material.
+    struct Neural {
+        network: Network,
+        /// The largest output that counts.
+        bound: f32,
+        /// The layer from the latent code to the shading frames.
         frames: Layer,
+    }
+
+    /// The same of an NBRDF.
+    struct Nbrdf {
+        network: Network,
     }
 
     extern "Rust" {
@@ -115,16 +130,19 @@ mod ffi {
         fn name(&self) -> &str;
         /// Kind and size, for people.
         fn description(&self) -> String;
-        fn model(&self) -> Model;
+        /// Which traced form it has.
+        fn kind(&self) -> Kind;
+        /// What `kind` says it is; an error for any other.
+        fn hybrid(&self) -> Result<Hybrid>;
+        fn neural(&self) -> Result<Neural>;
+        fn nbrdf(&self) -> Result<Nbrdf>;
         fn has_microfacet(&self) -> bool;
         /// The analytic part, or zeros where there is none.
         fn microfacet(&self) -> Microfacet;
         fn latent(&self) -> &[f32];
         /// The shares that an edit leaves of what the network adds, see `edit.rs` of the core.
         fn room(&self) -> &[f32];
-        /// Whether `model` is all that it takes to trace the evaluation elsewhere.
-        fn has_traced_form(&self) -> bool;
-        /// Names of the models of which that is so, for messages.
+        /// Names of the models that have a traced form, for messages.
         fn traced_models() -> String;
         /// Whether the sampler is made of `lobes`, and can be traced elsewhere.
         fn has_lobes(&self) -> bool;
@@ -261,41 +279,42 @@ impl Material {
         format!("{kind} ({} network)", sizes.join("-"))
     }
 
-    fn model(&self) -> ffi::Model {
-        let model = ffi::Model {
-            kind: traced_kind(self.material.kind()),
-            network: ffi::Network { layers: Vec::new(), activation: ffi::Activation::Relu },
-            bound: 0.0,
-            inputs: ffi::Inputs::Cartesian,
-            analytic_input: false,
-            composition: ffi::Composition::GatedResidual,
-            fitted: self.microfacet(),
-            frames: ffi::Layer { weight: Vec::new(), bias: Vec::new() },
-        };
-        match self.material.model() {
-            AnyModel::Hybrid(m) => ffi::Model {
-                network: m.network().as_ref().into(),
-                bound: m.bound(),
-                inputs: m.form().inputs.into(),
-                analytic_input: m.form().analytic_input,
-                composition: m.form().composition.into(),
-                fitted: m.fitted_microfacet().into(),
-                ..model
-            },
-            AnyModel::Neural(m) => ffi::Model {
-                network: (&m.shared().network).into(),
-                bound: m.bound(),
-                frames: (&m.shared().frames).into(),
-                ..model
-            },
-            AnyModel::Nbrdf(m) => ffi::Model { network: m.network().as_ref().into(), ..model },
-            // The microfacet model is all parameters. Of what is not traced, nothing needs to cross.
-            AnyModel::Ggx(_)
-            | AnyModel::Factor(_)
-            | AnyModel::Tabulated(_)
-            | AnyModel::Analytic(_)
-            | AnyModel::Spherical(_) => model,
-        }
+    fn kind(&self) -> ffi::Kind {
+        traced_kind(self.material.kind())
+    }
+
+    /// The model, where it is the one that is asked for.
+    fn as_model<'a, M: Model>(&'a self) -> Result<&'a M, String>
+    where
+        &'a M: TryFrom<&'a glimt_core::Material>,
+    {
+        let model = (&self.material).try_into();
+        model.map_err(|_| {
+            format!("\"{}\" is of the model {}, not {}", self.name, self.material.kind(), M::KIND)
+        })
+    }
+
+    fn hybrid(&self) -> Result<ffi::Hybrid, String> {
+        let m: &hybrid::Hybrid = self.as_model()?;
+        Ok(ffi::Hybrid {
+            network: m.network().as_ref().into(),
+            bound: m.bound(),
+            inputs: m.form().inputs.into(),
+            analytic_input: m.form().analytic_input,
+            composition: m.form().composition.into(),
+            fitted: m.fitted_microfacet().into(),
+        })
+    }
+
+    fn neural(&self) -> Result<ffi::Neural, String> {
+        let m: &Neural = self.as_model()?;
+        let (network, frames) = (&m.shared().network, &m.shared().frames);
+        Ok(ffi::Neural { network: network.into(), bound: m.bound(), frames: frames.into() })
+    }
+
+    fn nbrdf(&self) -> Result<ffi::Nbrdf, String> {
+        let m: &Nbrdf = self.as_model()?;
+        Ok(ffi::Nbrdf { network: m.network().as_ref().into() })
     }
 
     fn has_microfacet(&self) -> bool {
@@ -318,10 +337,6 @@ impl Material {
             _ => None,
         };
         room.unwrap_or(&Room::ALL).shares()
-    }
-
-    fn has_traced_form(&self) -> bool {
-        traced_kind(self.material.kind()) != ffi::Kind::Untraced
     }
 
     fn has_lobes(&self) -> bool {

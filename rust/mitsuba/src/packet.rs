@@ -18,7 +18,6 @@
 
 use std::ffi::c_void;
 
-use glimt_core::mixed;
 use glimt_core::simd::{LANES, Lane3};
 
 use crate::bridge::{Material, guarded};
@@ -174,7 +173,7 @@ impl<'a> Tile<'a> {
         let mut tile = Tile { pairs: [0; LANES], materials: [first; LANES], len: 0, set: 0 };
         while pending != 0 && tile.len < LANES {
             let material = packet.material(pending.trailing_zeros() as usize % N);
-            let fits = mixed::together(first, material);
+            let fits = first.shares_tiles_with(material);
             let mut left = pending;
             while left != 0 {
                 let pair = left.trailing_zeros() as usize;
@@ -203,7 +202,7 @@ impl<'a> Tile<'a> {
         let mut materials = self.materials;
         // The rest goes with the last, so that it takes no pass of its own.
         materials[self.len..].fill(last);
-        mixed::eval_tile(&materials, light, view, f);
+        glimt_core::Material::eval_mixed_tile(&materials, light, view, f);
     }
 }
 
@@ -212,11 +211,11 @@ mod tests {
     use std::sync::Arc;
 
     use glimt_check::{extremes, stability};
-    use glimt_core::features::Inputs;
-    use glimt_core::hybrid::{Form, Hybrid};
+    use glimt_core::directions::features::Inputs;
+    use glimt_core::kernels::network::{Activation, Layer, Network};
     use glimt_core::library::{Entry, Origin};
     use glimt_core::microfacet::Microfacet;
-    use glimt_core::network::{Activation, Layer, Network};
+    use glimt_core::models::hybrid::{Form, Hybrid};
     use glimt_core::{Brdf, Library, Vec3};
 
     use super::*;

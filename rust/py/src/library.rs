@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::sampling::SamplerChoice;
 use glimt_files::Source;
 use pyo3::prelude::*;
 

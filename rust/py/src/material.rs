@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glimt_core::library::{Entry, Origin};
-use glimt_core::sampler::{Sampler, SamplerChoice};
+use glimt_core::sampling::{Sampler, SamplerChoice};
 use glimt_core::{Brdf, SampleBrdf, Vec3};
 use glimt_files::Source;
 use numpy::{PyArray1, ToPyArray};

@@ -11,11 +11,11 @@ use std::fs::File;
 use std::io::BufWriter;
 
 use glam::{Quat, Vec3};
-use glimt_core::edit::FLOOR;
-use glimt_core::features::MAX_FEATURES;
-use glimt_core::hybrid::Hybrid;
-use glimt_core::math::{exp, sigmoid};
+use glimt_core::directions::features::MAX_FEATURES;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::edit::FLOOR;
+use glimt_core::models::hybrid::Hybrid;
+use glimt_core::simd::math::{exp, sigmoid};
 use glimt_core::{AnyModel, Brdf, Library, Material, is_lit};
 use glimt_report::study::light::Light;
 use glimt_report::study::sphere::LitSphere;
@@ -53,7 +53,7 @@ impl Edited<'_> {
         let features: [f32; MAX_FEATURES] = form.inputs.compute(light.into(), view.into(), alpha);
         let x: Vec<f64> = features[..form.inputs.count()].iter().map(|&x| x.into()).collect();
         let latent: Vec<f64> = self.fitted.latent().iter().map(|&z| z.into()).collect();
-        let y = glimt_core::network::reference::forward(network, &x, &latent);
+        let y = glimt_core::kernels::network::reference::forward(network, &x, &latent);
         let outputs = std::array::from_fn(|i| y[i] as f32);
         (outputs, self.fitted.microfacet().eval(light.into(), view.into()))
     }

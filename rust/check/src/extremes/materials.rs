@@ -3,20 +3,20 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use glimt_core::analytic::{Analytic, Parameters, Specular};
-use glimt_core::factor::{self, Factor, Factors, Interpolation, Product};
-use glimt_core::features::Inputs;
-use glimt_core::ggx::Ggx;
-use glimt_core::healpix::Healpix;
-use glimt_core::hybrid::{Composition, Form, Hybrid, MAX_BOUND};
+use glimt_core::directions::features::Inputs;
+use glimt_core::directions::healpix::Healpix;
+use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::microfacet::{ETA_RANGE, MIN_ALPHA, Microfacet};
-use glimt_core::nbrdf::{self, Nbrdf};
-use glimt_core::network::{Activation, Layer, Network};
-use glimt_core::neural::{self, Neural, Shared};
-use glimt_core::spherical::pixelation::Pixelation;
-use glimt_core::spherical::store::Store;
-use glimt_core::spherical::tables::{self, Grids, Layout};
-use glimt_core::spherical::{self, Features, Spherical};
+use glimt_core::models::analytic::{Analytic, Parameters, Specular};
+use glimt_core::models::factor::{self, Factor, Factors, Interpolation, Product};
+use glimt_core::models::ggx::Ggx;
+use glimt_core::models::hybrid::{Composition, Form, Hybrid, MAX_BOUND};
+use glimt_core::models::nbrdf::{self, Nbrdf};
+use glimt_core::models::neural::{self, Neural, Shared};
+use glimt_core::models::spherical::pixelation::Pixelation;
+use glimt_core::models::spherical::store::Store;
+use glimt_core::models::spherical::tables::{self, Grids, Layout};
+use glimt_core::models::spherical::{self, Features, Spherical};
 
 use super::Case;
 use super::pairs::direction;

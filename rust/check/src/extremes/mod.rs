@@ -8,14 +8,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use glimt_core::factor::{self, Interpolation, Variant};
-use glimt_core::ggx::Ggx;
-use glimt_core::hybrid::{self, Hybrid};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
-use glimt_core::nbrdf::{self, Nbrdf};
-use glimt_core::neural::{self, Neural, Shared};
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::models::factor::{self, Interpolation, Variant};
+use glimt_core::models::ggx::Ggx;
+use glimt_core::models::hybrid::{self, Hybrid};
+use glimt_core::models::nbrdf::{self, Nbrdf};
+use glimt_core::models::neural::{self, Neural, Shared};
+use glimt_core::sampling::SamplerChoice;
 use glimt_core::{AnyModel, Kind, Library, Material};
 
 use crate::measurements;

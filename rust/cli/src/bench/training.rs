@@ -3,9 +3,9 @@
 use std::ops::ControlFlow;
 
 use anyhow::{Result, bail};
-use glimt_core::ggx::Ggx;
 use glimt_core::library::Origin;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::ggx::Ggx;
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_fit::train::Schedule;
 use glimt_fit::{HybridOptions, Input, Model, Net, Options, Outcome, Truth, fit};

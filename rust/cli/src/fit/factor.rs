@@ -5,8 +5,8 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
-use glimt_core::factor::{self, Interpolation};
 use glimt_core::library::{Entry, Origin};
+use glimt_core::models::factor::{self, Interpolation};
 use glimt_core::{Kind, Library};
 use glimt_fit::{FactorOptions, Input, Truth, doubts, doubts_of_tables, fit_factor};
 

@@ -1,7 +1,7 @@
 //! `glimt fit --model hybrid`.
 
 use clap::{Args, ValueEnum};
-use glimt_core::hybrid;
+use glimt_core::models::hybrid;
 use glimt_fit::train::Schedule;
 use glimt_fit::{HybridOptions, InputChoice, Model, Net, Options};
 

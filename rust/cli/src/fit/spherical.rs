@@ -3,11 +3,11 @@
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use glimt_core::AnyModel;
-use glimt_core::healpix::Healpix;
+use glimt_core::directions::healpix::Healpix;
 use glimt_core::library::Entry;
-use glimt_core::spherical::store::StoreKind;
-use glimt_core::spherical::tables::{self, Form};
-use glimt_core::spherical::{pixelation, tables::Interpolation};
+use glimt_core::models::spherical::store::StoreKind;
+use glimt_core::models::spherical::tables::{self, Form};
+use glimt_core::models::spherical::{pixelation, tables::Interpolation};
 use glimt_fit::options::SPHERICAL_LOSS;
 use glimt_fit::train::Schedule;
 use glimt_fit::{Input, Model, Net, Options, SphericalOptions, Truth};

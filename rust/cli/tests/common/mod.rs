@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use glimt_core::ggx::Ggx;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::ggx::Ggx;
 use glimt_core::{Library, Material};
 use glimt_files::Array;
 use glimt_measured::utia::Encoding;

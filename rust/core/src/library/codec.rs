@@ -5,16 +5,16 @@ use std::sync::Arc;
 use serde_json::Value;
 
 use super::container::{Tensor, Tensors, layer_at};
-use crate::analytic::{Analytic, Lobe, Parameters, Specular};
-use crate::edit::{Fitted, KNOTS, Origin};
-use crate::ggx::Ggx;
-use crate::hybrid::{Form, Hybrid};
+use crate::kernels::network::{Activation, Network};
 use crate::microfacet::Microfacet;
-use crate::model::Model;
-use crate::nbrdf::{self, Nbrdf};
-use crate::network::{Activation, Network};
-use crate::neural::{self, Neural, Shared};
-use crate::tabulated::Tabulated;
+use crate::models::Model;
+use crate::models::analytic::{Analytic, Lobe, Parameters, Specular};
+use crate::models::edit::{Fitted, KNOTS, Origin};
+use crate::models::ggx::Ggx;
+use crate::models::hybrid::{Form, Hybrid};
+use crate::models::nbrdf::{self, Nbrdf};
+use crate::models::neural::{self, Neural, Shared};
+use crate::models::tabulated::Tabulated;
 
 /// A model's part of the library file.
 pub(crate) trait Codec: Model {

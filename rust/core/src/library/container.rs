@@ -5,7 +5,7 @@ use std::sync::Arc;
 use half::f16;
 use safetensors::tensor::{Dtype, SafeTensors};
 
-use crate::network::{Activation, Layer, Network};
+use crate::kernels::network::{Activation, Layer, Network};
 
 /// A tensor that is written or was read, little-endian.
 pub(crate) struct Tensor {

@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::codec::Codec;
 use super::container::{Tensor, Tensors};
-use crate::factor::{Curve, DIFF_BINS, Factor, Factors, Form, HALF_BINS, Product, Variant};
+use crate::models::factor::{Curve, DIFF_BINS, Factor, Factors, Form, HALF_BINS, Product, Variant};
 
 impl Codec for Factor {
     fn form(&self) -> Option<Value> {

@@ -31,8 +31,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::error::Error;
+use crate::kernels::network::{Activation, Network};
 use crate::material::{Kind, Material, with_kind, with_model};
-use crate::network::{Activation, Network};
 
 use codec::Codec;
 use container::{Tensor, Tensors};
@@ -451,18 +451,18 @@ fn names_of_stored_kinds() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analytic::{Analytic, Parameters, tests::specimens};
     use crate::brdf::Brdf;
-    use crate::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
-    use crate::features::Inputs;
-    use crate::ggx::Ggx;
-    use crate::hybrid::{Form, Hybrid};
+    use crate::directions::features::Inputs;
+    use crate::kernels::network::Layer;
+    use crate::kernels::network::tests::{patterned, patterned_from};
     use crate::microfacet::Microfacet;
-    use crate::nbrdf::Nbrdf;
-    use crate::network::Layer;
-    use crate::network::tests::{patterned, patterned_from};
-    use crate::neural::{self, Neural, Shared};
-    use crate::spherical::{store::StoreKind, tables::Grids, tests as spherical};
+    use crate::models::analytic::{Analytic, Parameters, tests::specimens};
+    use crate::models::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
+    use crate::models::ggx::Ggx;
+    use crate::models::hybrid::{Form, Hybrid};
+    use crate::models::nbrdf::Nbrdf;
+    use crate::models::neural::{self, Neural, Shared};
+    use crate::models::spherical::{store::StoreKind, tables::Grids, tests as spherical};
     use glam::Vec3;
     use proptest::prelude::*;
     use std::sync::{Arc, LazyLock};
@@ -707,6 +707,24 @@ mod tests {
         entries.push(stranger);
         let message = Library::new("merged", entries).unwrap_err().to_string();
         assert!(message.contains("different networks"), "{message}");
+    }
+
+    /// Whoever recognises a file by a digest of its bytes relies on that.
+    #[test]
+    fn a_library_that_is_read_has_the_bytes_and_the_digest_that_were_written() {
+        for entries in libraries() {
+            let kind = entries[0].material.kind();
+            let Some(bytes) =
+                Library::new("", entries).unwrap().with_digest(Some("a digest".into())).to_bytes()
+            else {
+                continue;
+            };
+            let read = Library::from_bytes("", &bytes).unwrap();
+            assert_eq!(read.digest(), Some("a digest"), "{kind}");
+            assert!(read.to_bytes().unwrap() == bytes, "{kind}");
+            let merged = Library::new("", read.entries().to_vec()).unwrap();
+            assert_eq!(merged.digest(), None, "{kind}");
+        }
     }
 
     #[test]

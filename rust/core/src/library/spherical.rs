@@ -24,10 +24,10 @@ use serde_json::Value;
 
 use super::codec::Codec;
 use super::container::{Numbers, Tensor, Tensors, layer_at};
-use crate::network::{Activation, Layer, Network};
-use crate::spherical::store::{Codebook, Store, StoreKind, pack, unpack};
-use crate::spherical::tables::{Form, Layout};
-use crate::spherical::{Features, Spherical};
+use crate::kernels::network::{Activation, Layer, Network};
+use crate::models::spherical::store::{Codebook, Store, StoreKind, pack, unpack};
+use crate::models::spherical::tables::{Form, Layout};
+use crate::models::spherical::{Features, Spherical};
 
 /// What the metadata says.
 #[derive(Serialize, Deserialize)]
@@ -333,8 +333,8 @@ fn codebooks(file: &Tensors, count: usize, size: usize, k: usize) -> Result<Vec<
 mod tests {
     use super::*;
     use crate::library::{Entry, Library, Origin};
-    use crate::spherical::tables::Grids;
-    use crate::spherical::tests::{form, material};
+    use crate::models::spherical::tables::Grids;
+    use crate::models::spherical::tests::{form, material};
     use crate::{Brdf, Material, Vec3};
 
     const KINDS: [StoreKind; 5] =

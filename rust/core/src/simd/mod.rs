@@ -6,6 +6,7 @@
 //! one that the environment variable `GLIMT_ISA` names.
 
 mod limit;
+pub mod math;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod portable;
@@ -85,9 +86,9 @@ pub trait Lanes<const L: usize>: Copy {
     /// The smaller of two numbers that are not negative, likewise.
     fn min_positive(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// a < b; false where either is NaN.
-    fn less(self, a: Self::Vector, b: Self::Vector) -> Self::Mask;
+    fn lt(self, a: Self::Vector, b: Self::Vector) -> Self::Mask;
     /// a and b.
-    fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Whether the mask holds in any lane.
     fn any(self, mask: Self::Mask) -> bool;
     /// a where the mask holds, else b.

@@ -103,13 +103,13 @@ impl Register for float32x4_t {
     }
 
     #[inline(always)]
-    unsafe fn less(self, b: Self) -> uint32x4_t {
+    unsafe fn lt(self, b: Self) -> uint32x4_t {
         // SAFETY: every machine of the target has NEON.
         unsafe { vcltq_f32(self, b) }
     }
 
     #[inline(always)]
-    unsafe fn both(a: uint32x4_t, b: uint32x4_t) -> uint32x4_t {
+    unsafe fn and(a: uint32x4_t, b: uint32x4_t) -> uint32x4_t {
         // SAFETY: every machine of the target has NEON.
         unsafe { vandq_u32(a, b) }
     }

@@ -99,7 +99,7 @@ impl Register for Quad {
     }
 
     #[inline(always)]
-    unsafe fn less(self, b: Self) -> [bool; 4] {
+    unsafe fn lt(self, b: Self) -> [bool; 4] {
         let mut mask = [false; 4];
         for i in 0..4 {
             mask[i] = self.0[i] < b.0[i];
@@ -108,7 +108,7 @@ impl Register for Quad {
     }
 
     #[inline(always)]
-    unsafe fn both(mut a: [bool; 4], b: [bool; 4]) -> [bool; 4] {
+    unsafe fn and(mut a: [bool; 4], b: [bool; 4]) -> [bool; 4] {
         for i in 0..4 {
             a[i] &= b[i];
         }

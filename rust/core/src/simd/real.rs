@@ -39,11 +39,11 @@ pub trait Real:
     /// The larger one; `limit` in place of NaN.
     fn max(self, limit: Self) -> Self;
     /// self < other; false where either is NaN.
-    fn less(self, other: Self) -> Self::Mask;
+    fn lt(self, other: Self) -> Self::Mask;
     /// a and b.
-    fn both(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
-    /// self where the mask holds, else `other`.
-    fn or_else(self, mask: Self::Mask, other: Self) -> Self;
+    fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// a where the mask holds, else b.
+    fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
     /// 2 to the power of self, a whole number from −126 to 127.
     fn power_of_two(self) -> Self;
     /// (n, m) with self = m 2ⁿ and m in [√½, √2), where self is a positive normal number.
@@ -57,7 +57,7 @@ pub trait Real:
 
     /// |self|.
     #[inline(always)]
-    fn magnitude(self) -> Self {
+    fn abs(self) -> Self {
         self.max(-self)
     }
 
@@ -114,18 +114,18 @@ impl Real for f32 {
     }
 
     #[inline(always)]
-    fn less(self, other: f32) -> bool {
+    fn lt(self, other: f32) -> bool {
         self < other
     }
 
     #[inline(always)]
-    fn both(self, a: bool, b: bool) -> bool {
+    fn and(self, a: bool, b: bool) -> bool {
         a & b
     }
 
     #[inline(always)]
-    fn or_else(self, mask: bool, other: f32) -> f32 {
-        if mask { self } else { other }
+    fn select(mask: bool, a: f32, b: f32) -> f32 {
+        if mask { a } else { b }
     }
 
     #[inline(always)]
@@ -174,6 +174,20 @@ impl<I: Lanes<L>, const L: usize> Vector<I, L> {
         [Vector { isa, lanes: x }, Vector { isa, lanes: y }, Vector { isa, lanes: z }]
     }
 
+    /// The columns of rows: number by number, that of every lane. There is a multiple of four of them.
+    #[inline(always)]
+    pub fn transpose<const N: usize>(isa: I, rows: &[[f32; N]; L]) -> [Self; N] {
+        const { assert!(N.is_multiple_of(4)) };
+        let mut columns = [Vector::new(isa, 0.0); N];
+        for first in (0..N).step_by(4) {
+            let four = isa.columns(rows, first);
+            for i in 0..4 {
+                columns[first + i] = Vector { isa, lanes: four[i] };
+            }
+        }
+        columns
+    }
+
     /// To memory.
     #[inline(always)]
     pub fn store(self, to: &mut [f32; L]) {
@@ -194,6 +208,12 @@ impl<I: Lanes<L>, const L: usize> Vector<I, L> {
     #[must_use]
     pub fn first(self) -> f32 {
         self.to_array()[0]
+    }
+
+    /// The registers.
+    #[inline(always)]
+    pub(crate) fn lanes(self) -> I::Vector {
+        self.lanes
     }
 
     /// Whether a mask of such numbers holds in any lane.
@@ -282,18 +302,18 @@ impl<I: Lanes<L>, const L: usize> Real for Vector<I, L> {
     }
 
     #[inline(always)]
-    fn less(self, other: Self) -> I::Mask {
-        self.isa.less(self.lanes, other.lanes)
+    fn lt(self, other: Self) -> I::Mask {
+        self.isa.lt(self.lanes, other.lanes)
     }
 
     #[inline(always)]
-    fn both(self, a: I::Mask, b: I::Mask) -> I::Mask {
-        self.isa.both(a, b)
+    fn and(self, a: I::Mask, b: I::Mask) -> I::Mask {
+        self.isa.and(a, b)
     }
 
     #[inline(always)]
-    fn or_else(self, mask: I::Mask, other: Self) -> Self {
-        Vector { isa: self.isa, lanes: self.isa.select(mask, self.lanes, other.lanes) }
+    fn select(mask: I::Mask, a: Self, b: Self) -> Self {
+        Vector { isa: a.isa, lanes: a.isa.select(mask, a.lanes, b.lanes) }
     }
 
     #[inline(always)]

@@ -27,8 +27,8 @@ pub trait Register: Copy {
     unsafe fn max(self, b: Self) -> Self;
     unsafe fn positive(self) -> Self;
     unsafe fn min_positive(self, b: Self) -> Self;
-    unsafe fn less(self, b: Self) -> Self::Mask;
-    unsafe fn both(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    unsafe fn lt(self, b: Self) -> Self::Mask;
+    unsafe fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     unsafe fn any(mask: Self::Mask) -> bool;
     unsafe fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
     unsafe fn power_of_two(self) -> Self;
@@ -122,22 +122,22 @@ macro_rules! lanes {
                 positive(a) min_positive(a, b) power_of_two(a));
 
             #[inline(always)]
-            fn less(self, a: Self::Vector, b: Self::Vector) -> Self::Mask {
+            fn lt(self, a: Self::Vector, b: Self::Vector) -> Self::Mask {
                 // SAFETY: `self` is the proof of the instruction set.
                 unsafe {
-                    let mut mask = [a[0].less(b[0]); $count];
+                    let mut mask = [a[0].lt(b[0]); $count];
                     for (i, mask) in mask.iter_mut().enumerate() {
-                        *mask = a[i].less(b[i]);
+                        *mask = a[i].lt(b[i]);
                     }
                     mask
                 }
             }
 
             #[inline(always)]
-            fn both(self, mut a: Self::Mask, b: Self::Mask) -> Self::Mask {
+            fn and(self, mut a: Self::Mask, b: Self::Mask) -> Self::Mask {
                 for i in 0..$count {
                     // SAFETY: `self` is the proof of the instruction set.
-                    a[i] = unsafe { <$register as Register>::both(a[i], b[i]) };
+                    a[i] = unsafe { <$register as Register>::and(a[i], b[i]) };
                 }
                 a
             }

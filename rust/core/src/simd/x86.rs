@@ -192,12 +192,12 @@ impl Register for __m128 {
     }
 
     #[inline(always)]
-    unsafe fn less(self, b: Self) -> __m128 {
+    unsafe fn lt(self, b: Self) -> __m128 {
         unsafe { _mm_cmplt_ps(self, b) }
     }
 
     #[inline(always)]
-    unsafe fn both(a: __m128, b: __m128) -> __m128 {
+    unsafe fn and(a: __m128, b: __m128) -> __m128 {
         unsafe { _mm_and_ps(a, b) }
     }
 
@@ -247,12 +247,12 @@ impl Register for __m256 {
     }
 
     #[inline(always)]
-    unsafe fn less(self, b: Self) -> __m256 {
+    unsafe fn lt(self, b: Self) -> __m256 {
         unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(self, b) }
     }
 
     #[inline(always)]
-    unsafe fn both(a: __m256, b: __m256) -> __m256 {
+    unsafe fn and(a: __m256, b: __m256) -> __m256 {
         unsafe { _mm256_and_ps(a, b) }
     }
 
@@ -305,12 +305,12 @@ impl Register for __m512 {
     }
 
     #[inline(always)]
-    unsafe fn less(self, b: Self) -> __mmask16 {
+    unsafe fn lt(self, b: Self) -> __mmask16 {
         unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self, b) }
     }
 
     #[inline(always)]
-    unsafe fn both(a: __mmask16, b: __mmask16) -> __mmask16 {
+    unsafe fn and(a: __mmask16, b: __mmask16) -> __mmask16 {
         a & b
     }
 

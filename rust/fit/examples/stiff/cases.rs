@@ -3,13 +3,13 @@
 use std::ops::ControlFlow;
 
 use glam::Vec3;
-use glimt_core::ggx::Ggx;
-use glimt_core::healpix::Healpix;
+use glimt_core::directions::healpix::Healpix;
 use glimt_core::library::{Entry, Origin};
 use glimt_core::microfacet::Microfacet;
-use glimt_core::spherical::pixelation::Pixelation;
-use glimt_core::spherical::store::StoreKind;
-use glimt_core::spherical::tables::{Form, Grids, Interpolation};
+use glimt_core::models::ggx::Ggx;
+use glimt_core::models::spherical::pixelation::Pixelation;
+use glimt_core::models::spherical::store::StoreKind;
+use glimt_core::models::spherical::tables::{Form, Grids, Interpolation};
 use glimt_core::{Brdf, is_lit};
 use glimt_fit::options::{DEFAULT_ANALYTIC_LOSS, DEFAULT_LOSS, SPHERICAL_LOSS};
 use glimt_fit::train::Schedule;

@@ -3,9 +3,9 @@
 //! `cargo test -p glimt-fit --lib condition_of -- --nocapture` prints the table of docs/stiff-fits.md.
 
 use glimt_core::Brdf;
-use glimt_core::factor::{DIFF_BINS, HALF_BINS};
-use glimt_core::ggx::Ggx;
 use glimt_core::microfacet::Microfacet;
+use glimt_core::models::factor::{DIFF_BINS, HALF_BINS};
+use glimt_core::models::ggx::Ggx;
 
 use super::descent::{self, Descent};
 use super::eigen::{Matrix, condition, scaled};

@@ -1,7 +1,7 @@
 //! The descents of one colour channel: alternating weighted least squares (the paper, §4.2 and 4.3).
 
-use glimt_core::factor::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MASKING_KNOTS};
-use glimt_core::smith;
+use glimt_core::models::factor::smith;
+use glimt_core::models::factor::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MASKING_KNOTS};
 
 use super::anderson::Anderson;
 use super::masking::{Folded, Masking, smooth};

@@ -5,8 +5,8 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::LazyLock;
 
 use glam::{DVec3, Vec3};
-use glimt_core::factor::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MAX_THETA};
-use glimt_core::math::{exp, ln};
+use glimt_core::models::factor::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MAX_THETA};
+use glimt_core::simd::math::{exp, ln};
 use glimt_core::{Brdf, dispatch};
 use rayon::prelude::*;
 
@@ -204,7 +204,7 @@ fn weighted_median(values: &[f32], weights: &[f32]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glimt_core::factor::reference::position;
+    use glimt_core::models::factor::reference::position;
 
     #[test]
     fn directions_have_their_angles_and_cosines() {

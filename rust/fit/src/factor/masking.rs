@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use glimt_core::dispatch;
-use glimt_core::factor::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MASKING_KNOTS};
+use glimt_core::models::factor::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MASKING_KNOTS};
 
 use super::grid::{self, ROWS};
 use super::product::{FixedSums, STRIDE, State, Sums};

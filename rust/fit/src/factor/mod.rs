@@ -17,7 +17,7 @@ mod naive;
 mod product;
 
 use glimt_core::Brdf;
-use glimt_core::factor::{
+use glimt_core::models::factor::{
     AZIMUTH_BINS, DIFF_BINS, Factor, Factors, HALF_BINS, Interpolation, Product, Variant,
 };
 use rand::RngExt;
@@ -223,7 +223,7 @@ fn analytic_start(slices: &State) -> (State, Masking) {
         *fresnel = 0.04 + 0.96 * (1.0 - grid::theta_diff(diff).cos()).powi(5);
     }
     let state = state.normalized();
-    let masking = glimt_core::smith::masking_of(&state.ndf);
+    let masking = glimt_core::models::factor::smith::masking_of(&state.ndf);
     (state, masking)
 }
 

@@ -1,7 +1,7 @@
 //! The third factor of eq. 4: H(φ_d).
 
 use glimt_core::dispatch;
-use glimt_core::factor::{AZIMUTH_BINS, DIFF_BINS};
+use glimt_core::models::factor::{AZIMUTH_BINS, DIFF_BINS};
 
 use super::grid::ROWS;
 use super::masking::row_sums;

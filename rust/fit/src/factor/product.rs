@@ -5,7 +5,7 @@
 //! then cost 8,100 rows each instead of 1.46 million samples.
 
 use glimt_core::dispatch;
-use glimt_core::factor::{DIFF_BINS, HALF_BINS, MAX_SCALE};
+use glimt_core::models::factor::{DIFF_BINS, HALF_BINS, MAX_SCALE};
 
 /// Numbers from one θ_h to the next: the bins of θ_d and zeros that fill whole vectors.
 pub const STRIDE: usize = 96;

@@ -3,7 +3,7 @@
 //! The paper clusters the codes of an autoencoder of the measurements. Here the code is ln(1 + f/0.003),
 //! the network's own scale, at the same few hundred pairs for all, which needs no training.
 
-use glimt_core::spherical::OUTPUT_SCALE;
+use glimt_core::models::spherical::OUTPUT_SCALE;
 
 use crate::backprop::BLOCK;
 use crate::pairs::{self, Drawing};

@@ -12,12 +12,12 @@ pub(crate) mod stages;
 mod turn;
 
 use glimt_core::dispatch;
-use glimt_core::math::exp;
-use glimt_core::network::Activation;
+use glimt_core::kernels::network::Activation;
+use glimt_core::models::spherical::store::StoreKind;
+use glimt_core::models::spherical::tables::{Layout, MAX_TABLES, Taps};
+use glimt_core::models::spherical::{MAX_BOUND, OUTPUT_SCALE, from_output};
+use glimt_core::simd::math::exp;
 use glimt_core::simd::{LANES, Vector};
-use glimt_core::spherical::store::StoreKind;
-use glimt_core::spherical::tables::{Layout, MAX_TABLES, Taps};
-use glimt_core::spherical::{MAX_BOUND, OUTPUT_SCALE, from_output};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

@@ -2,9 +2,9 @@
 
 use std::collections::HashMap;
 
-use glimt_core::healpix::Healpix;
+use glimt_core::directions::healpix::Healpix;
+use glimt_core::models::spherical::tables::{Layout, MAX_TABLES, Taps};
 use glimt_core::simd::{Portable, Vector};
-use glimt_core::spherical::tables::{Layout, MAX_TABLES, Taps};
 
 use crate::truth::Truth;
 
@@ -73,8 +73,8 @@ pub(crate) fn prune(layout: &Layout, truth: Truth) -> Option<(Vec<u32>, Vec<usiz
 mod tests {
     use super::*;
     use glam::Vec3;
-    use glimt_core::spherical::pixelation::Pixelation;
-    use glimt_core::spherical::tables::{Form, Grids, Interpolation};
+    use glimt_core::models::spherical::pixelation::Pixelation;
+    use glimt_core::models::spherical::tables::{Form, Grids, Interpolation};
 
     fn layout(grids: Grids) -> Layout {
         let nside = Healpix::try_from(8).unwrap();
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn what_is_known_everywhere_is_not_pruned() {
-        let material = glimt_core::ggx::Ggx::new(glimt_core::microfacet::Microfacet {
+        let material = glimt_core::models::ggx::Ggx::new(glimt_core::microfacet::Microfacet {
             kd: [0.2; 3],
             eta: [1.5; 3],
             alpha: [0.3; 2],

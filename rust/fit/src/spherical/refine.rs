@@ -7,8 +7,8 @@
 
 use std::sync::Arc;
 
-use glimt_core::healpix::Healpix;
-use glimt_core::spherical::tables::{Form, Layout};
+use glimt_core::directions::healpix::Healpix;
+use glimt_core::models::spherical::tables::{Form, Layout};
 
 use super::SphericalObjective;
 use crate::objective::Objective;
@@ -64,8 +64,8 @@ fn refine(coarse: &Layout, fine: &Layout, k: usize, numbers: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glimt_core::spherical::pixelation::Pixelation;
-    use glimt_core::spherical::tables::{Grids, Interpolation};
+    use glimt_core::models::spherical::pixelation::Pixelation;
+    use glimt_core::models::spherical::tables::{Grids, Interpolation};
 
     #[test]
     fn finer_tables_hold_what_the_coarser_ones_did() {

@@ -3,10 +3,10 @@
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-use glimt_core::network::{Layer, Network};
-use glimt_core::spherical::store::{Codebook, Store, StoreKind, scales};
-use glimt_core::spherical::tables::Layout;
-use glimt_core::spherical::{Features, Spherical};
+use glimt_core::kernels::network::{Layer, Network};
+use glimt_core::models::spherical::store::{Codebook, Store, StoreKind, scales};
+use glimt_core::models::spherical::tables::Layout;
+use glimt_core::models::spherical::{Features, Spherical};
 use half::f16;
 
 use super::cluster::clusters;

@@ -5,11 +5,11 @@ use crate::pairs::{self, Drawing};
 use crate::train::{Schedule, State};
 use crate::truth::Truth;
 use glam::Vec3;
-use glimt_core::ggx::Ggx;
 use glimt_core::library::Origin;
 use glimt_core::microfacet::Microfacet;
-use glimt_core::spherical::pixelation::Pixelation;
-use glimt_core::spherical::tables::{Form, Grids, Interpolation};
+use glimt_core::models::ggx::Ggx;
+use glimt_core::models::spherical::pixelation::Pixelation;
+use glimt_core::models::spherical::tables::{Form, Grids, Interpolation};
 use glimt_core::{AnyModel, Brdf, Material};
 use std::ops::ControlFlow;
 

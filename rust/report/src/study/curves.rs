@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use glam::Vec3;
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::sampling::SamplerChoice;
 use glimt_core::{Brdf, Material, SampleBrdf};
 
 use super::sequence::Sequence;
@@ -83,8 +83,8 @@ impl AlbedoProbes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
+    use glimt_core::models::ggx::Ggx;
 
     fn material(kd: f32, eta: f32, alpha: f32) -> Material {
         Ggx::new(Microfacet { kd: [kd; 3], eta: [eta; 3], alpha: [alpha; 2] }).unwrap().into()

@@ -279,7 +279,7 @@ impl<'a> Bench<'a> {
 
     /// Variance of the truth under every sampler that there is for it.
     fn samplers(&self) -> BTreeMap<String, Vec<f64>> {
-        use glimt_core::sampler::SamplerChoice::{Lobes, Table};
+        use glimt_core::sampling::SamplerChoice::{Lobes, Table};
         let seed = self.settings.seed;
         let of = |material: &Material| variance(material, Chosen::By(material), NOISE_SIZE, seed);
         let own = self.truth.plan().name().to_owned();
@@ -287,7 +287,7 @@ impl<'a> Bench<'a> {
             ("cosine".to_owned(), variance(self.truth, Chosen::Cosine, NOISE_SIZE, seed)),
             (own, of(self.truth)),
         ]);
-        for choice in [Lobes, Table(glimt_core::table_sampler::Resolution::DEFAULT)] {
+        for choice in [Lobes, Table(glimt_core::sampling::table::Resolution::DEFAULT)] {
             let material = self.truth.with_sampler(choice);
             variances.entry(material.plan().name().to_owned()).or_insert_with(|| of(&material));
         }
@@ -363,8 +363,8 @@ impl Study {
 pub(crate) mod tests {
     use super::frames::Frame;
     use super::*;
-    use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
+    use glimt_core::models::ggx::Ggx;
 
     fn material(alpha: f32) -> Material {
         Ggx::new(Microfacet { kd: [0.4, 0.2, 0.1], eta: [1.5; 3], alpha: [alpha; 2] }).unwrap().into()

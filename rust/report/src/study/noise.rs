@@ -94,8 +94,8 @@ fn variance_of_means(samples: &[Rgb], channel: usize, count: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
+    use glimt_core::models::ggx::Ggx;
 
     #[test]
     fn variance_falls_with_the_samples_and_lobes_are_quieter_than_the_cosine() {

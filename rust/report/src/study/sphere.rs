@@ -4,7 +4,7 @@
 //! their reflectance, and hardly ever noise. How much noise there is, a second seed tells.
 
 use glam::Vec3;
-use glimt_core::sampler::SamplerChoice;
+use glimt_core::sampling::SamplerChoice;
 use glimt_core::{Brdf, Material, SampleBrdf, is_lit};
 use glimt_image::{Image, Rgb};
 use rayon::prelude::*;
@@ -181,8 +181,8 @@ impl Guide<'_> {
 mod tests {
     use super::*;
     use crate::study::light::Environment;
-    use glimt_core::ggx::Ggx;
     use glimt_core::microfacet::Microfacet;
+    use glimt_core::models::ggx::Ggx;
 
     fn material(alpha: f32) -> Material {
         Ggx::new(Microfacet { kd: [0.4, 0.2, 0.1], eta: [1.5; 3], alpha: [alpha; 2] }).unwrap().into()

@@ -1,0 +1,98 @@
+//! What the faces and the model library ask of every model, beyond its reflectance.
+
+pub mod analytic;
+pub mod edit;
+pub mod factor;
+pub mod ggx;
+pub mod hybrid;
+pub mod nbrdf;
+pub mod neural;
+pub mod spherical;
+pub mod tabulated;
+
+use serde::Serialize;
+
+use crate::brdf::Brdf;
+use crate::kernels::network::Network;
+use crate::microfacet::Microfacet;
+use crate::sampling::Plan;
+use crate::simd::{LANES, Lane3};
+
+/// A model of reflectance: one file of this crate each, listed in [`crate::material`].
+pub trait Model: Brdf + Clone {
+    /// The model's name as files and commands spell it.
+    const KIND: &'static str;
+
+    /// Its form in a few words, for people: what no number of a single material tells.
+    fn describe(&self) -> String;
+
+    /// How a material of this model is sampled where nothing else is asked for.
+    fn plan(&self) -> Plan {
+        Plan::Lobes
+    }
+
+    /// Whether f is the same in every azimuth by construction.
+    fn is_isotropic(&self) -> bool;
+
+    /// Whether f(l, v) = f(v, l) by construction.
+    fn is_reciprocal(&self) -> bool {
+        false
+    }
+
+    /// k_d, η, α of the models that have an analytic part.
+    fn microfacet(&self) -> Option<&Microfacet> {
+        None
+    }
+
+    /// z; empty for models that have none.
+    fn latent(&self) -> &[f32] {
+        &[]
+    }
+
+    /// The network of the models that have one, before anything is folded into it.
+    fn network(&self) -> Option<&Network> {
+        None
+    }
+
+    /// The same material with other k_d, η and α.
+    ///
+    /// # Errors
+    /// In words, a parameter out of range, or that the model has no analytic part.
+    fn with_microfacet(&self, _: Microfacet) -> Result<Self, String> {
+        Err(format!("a {} material has no kd, eta or alpha to edit", Self::KIND))
+    }
+
+    /// The same material with another latent code.
+    ///
+    /// # Errors
+    /// In words, a code of another length or not finite, or that the model has none.
+    fn with_latent(&self, _: Vec<f32>) -> Result<Self, String> {
+        Err(format!("a {} material has no latent code", Self::KIND))
+    }
+
+    /// Whether lanes of this material and lanes of `other` can be in one tile.
+    fn shares_tiles_with(&self, other: &Self) -> bool {
+        std::ptr::eq(self, other)
+    }
+
+    /// f_r in every lane, of that lane's material; the first [shares tiles with](Model::shares_tiles_with) each.
+    fn eval_mixed_tile(materials: &[&Self; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        materials[0].eval_tile(light, view, out);
+    }
+
+    /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.
+    ///
+    /// # Errors
+    /// In words that go on from the names of the two, why they cannot be mixed.
+    fn mix(&self, _other: &Self, _t: f32) -> Result<Self, String> {
+        Err(format!("cannot be mixed: a {} material has no parameters between which to go", Self::KIND))
+    }
+}
+
+/// A variant as files spell it.
+pub(crate) fn spelled(variant: &impl Serialize) -> String {
+    match serde_json::to_value(variant) {
+        Ok(serde_json::Value::String(name)) => name,
+        other => format!("{other:?}"),
+    }
+}
