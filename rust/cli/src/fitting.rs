@@ -76,7 +76,9 @@ impl JsonErrors {
     /// Names the file and why.
     pub fn check(&self, overwrite: Overwrite, library: &Path) -> Result<()> {
         let Some(file) = self.file() else { return Ok(()) };
-        if is_same(file, library) {
+        // By name as well: neither need be there yet.
+        let absolute = |path| std::path::absolute(path).ok();
+        if is_same(file, library) || absolute(file) == absolute(library) {
             bail!("{} cannot be both the library and its errors as JSON; name another file", file.display());
         }
         overwrite.check(file, Format::Json).map(drop)
@@ -138,7 +140,7 @@ pub fn command(files: &[PathBuf]) -> String {
     words.join(" ")
 }
 
-/// Says what is hardly meant, a line each.
+/// Prints a warning for each doubt.
 pub fn warn(doubts: &[Doubt]) {
     for doubt in doubts {
         output::note(&format!("warning: {doubt}"));
@@ -308,7 +310,7 @@ fn mean(entries: &[Entry], key: &str) -> Option<f64> {
     values.map(|values| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// What docs/fit.md says of `--json`.
+/// What docs/guide/scripts.md says of `--json`.
 fn errors_json(library: &Library, entries: &[Entry]) -> Result<String> {
     let mut materials = serde_json::Map::new();
     for entry in entries {
