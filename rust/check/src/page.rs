@@ -1,7 +1,8 @@
 //! A run as one self-contained HTML page: verdicts, and the pictures behind them.
 
-use std::fmt::Write;
+use maud::{Markup, PreEscaped, html};
 
+use crate::picture::Map;
 use crate::report::{Judged, Report, figure, place_and_note};
 use crate::run::Sight;
 use crate::svg::{self, DECADES, LEVELS, RESIDUAL_RANGE, Shown};
@@ -14,38 +15,34 @@ const STYLE: &str = include_str!("page.css");
 /// The page of a report.
 #[must_use]
 pub fn html(report: &Report) -> String {
-    let mut page = format!(
-        "<!doctype html><html lang=en><meta charset=utf-8>\
-         <meta name=viewport content='width=device-width, initial-scale=1'>\
-         <title>glimt check</title><style>{STYLE}</style>\n<h1>{} glimt check</h1>\n",
-        chip(report.verdict)
-    );
-    let failed = report.failed().len();
-    add(
-        &mut page,
-        format_args!(
-            "<p>{} of {} passed. {} p-values, each a failure below {:.1e}: a run over correct BSDFs passes with \
-             probability {}.</p>\n",
-            report.subjects.len() - failed,
-            report.subjects.len(),
-            report.p_values,
-            report.threshold,
-            1.0 - report.significance
-        ),
-    );
-    if report.subjects.len() > 1 {
-        page += &matrix(report);
-    }
-    page += &legend();
-    for (index, subject) in report.subjects.iter().enumerate() {
-        let is_open = report.subjects.len() == 1 || subject.verdict == Verdict::Fail;
-        page += &section(subject, index, is_open, report.threshold);
-    }
-    page + "</html>\n"
-}
-
-fn add(page: &mut String, text: std::fmt::Arguments) {
-    page.write_fmt(text).expect("a string takes all");
+    let passed = report.subjects.len() - report.failed().len();
+    let page = html! {
+        // As the command recognises its pages by.
+        (PreEscaped("<!doctype html>"))
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { "glimt check" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                h1 { (chip(report.verdict)) " glimt check" }
+                p {
+                    (passed) " of " (report.subjects.len()) " passed. " (report.p_values)
+                    (format!(" p-values, each a failure below {:.1e}", report.threshold))
+                    ": a run over correct BSDFs passes with probability " (1.0 - report.significance) "."
+                }
+                @if report.subjects.len() > 1 { (matrix(report)) }
+                (legend())
+                @for (index, subject) in report.subjects.iter().enumerate() {
+                    @let is_open = report.subjects.len() == 1 || subject.verdict == Verdict::Fail;
+                    (section(subject, index, is_open, report.threshold))
+                }
+            }
+        }
+    };
+    page.into_string() + "\n"
 }
 
 /// CSS class and word of a verdict.
@@ -60,127 +57,133 @@ fn spelling(verdict: Verdict) -> (&'static str, &'static str) {
     }
 }
 
-fn chip(verdict: Verdict) -> String {
+fn chip(verdict: Verdict) -> Markup {
     let (class, word) = spelling(verdict);
-    format!("<span class='chip {class}'>{word}</span>")
-}
-
-/// Text as HTML.
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('\'', "&#39;")
-        .replace('"', "&quot;")
+    html! { span class=(format!("chip {class}")) { (word) } }
 }
 
 /// All subjects and tests at a glance.
-fn matrix(report: &Report) -> String {
+fn matrix(report: &Report) -> Markup {
     let mut tests: Vec<Test> = report.subjects.iter().flat_map(|s| s.tests.iter().map(|t| t.test)).collect();
     tests.sort();
     tests.dedup();
-    let mut page = String::from("<section class=wide><table class=matrix><tr><th>");
-    for test in &tests {
-        add(&mut page, format_args!("<th title='{}'><span>{}</span>", escape(test.question()), test.name()));
-    }
-    for (index, subject) in report.subjects.iter().enumerate() {
-        let (class, _) = spelling(subject.verdict);
-        let name = escape(&subject.name);
-        add(&mut page, format_args!("<tr><td><a class={class} href='#s{index}'>{name}</a>"));
-        for test in &tests {
-            let verdict = subject.test(*test).map_or(Verdict::LeftOut, |summary| summary.verdict);
-            let (class, word) = spelling(verdict);
-            let sign = match verdict {
-                Verdict::Pass => "●",
-                Verdict::Warning | Verdict::OfTheFile => "▲",
-                Verdict::Fail => "✖",
-                Verdict::Figure | Verdict::LeftOut => "·",
-            };
-            add(&mut page, format_args!("<td class={class} title='{}: {word}'>{sign}", test.name()));
+    html! {
+        section.wide {
+            table.matrix {
+                tr {
+                    th {}
+                    @for test in &tests { th title=(test.question()) { span { (test.name()) } } }
+                }
+                @for (index, subject) in report.subjects.iter().enumerate() {
+                    tr {
+                        td { a class=(spelling(subject.verdict).0) href=(format!("#s{index}")) { (subject.name) } }
+                        @for &test in &tests { (sign(subject, test)) }
+                    }
+                }
+            }
         }
     }
-    page + "</table></section>\n"
+}
+
+/// A subject's verdict in a test, as one character.
+fn sign(subject: &Judged, test: Test) -> Markup {
+    let verdict = subject.test(test).map_or(Verdict::LeftOut, |summary| summary.verdict);
+    let (class, word) = spelling(verdict);
+    let sign = match verdict {
+        Verdict::Pass => "●",
+        Verdict::Warning | Verdict::OfTheFile => "▲",
+        Verdict::Fail => "✖",
+        Verdict::Figure | Verdict::LeftOut => "·",
+    };
+    html! { td class=(class) title=(format!("{}: {word}", test.name())) { (sign) } }
 }
 
 /// What the colours mean.
-fn legend() -> String {
-    let scale = |name: char| {
-        let step = |level: usize| format!("<path class={name}{level} stroke-width=8 d='M{level} 4h1.05'/>");
-        let steps: String = (0..LEVELS).map(step).collect();
-        format!("<svg viewBox='0 0 {LEVELS} 8' preserveAspectRatio=none>{steps}</svg>")
-    };
-    format!(
-        "<section class=legend><span><span class=key style='color:var(--response)'></span>f·cosθ, mean of the \
-         channels</span><span><span class=key style='color:var(--pdf)'></span>pdf</span>\
-         <span>radius: logarithmic, a ring per decade; dashed: the view</span>\
-         <span>{}density, logarithmic over {DECADES} decades</span>\
-         <span>{}(observed − expected) / √expected from −{RESIDUAL_RANGE} to {RESIDUAL_RANGE}</span>\
-         <span>discs: the hemisphere of lights from above; the distance to the centre is the angle to the \
-         normal</span></section>\n",
-        scale('d'),
-        scale('r')
-    )
+fn legend() -> Markup {
+    let key = |colour: &str| html! { span.key style=(format!("color:var(--{colour})")) {} };
+    html! {
+        section.legend {
+            span { (key("response")) "f·cosθ, mean of the channels" }
+            span { (key("pdf")) "pdf" }
+            span { "radius: logarithmic, a ring per decade; dashed: the view" }
+            span { (scale('d')) "density, logarithmic over " (DECADES) " decades" }
+            span {
+                (scale('r')) "(observed − expected) / √expected from −" (RESIDUAL_RANGE) " to " (RESIDUAL_RANGE)
+            }
+            span {
+                "discs: the hemisphere of lights from above; the distance to the centre is the angle to the normal"
+            }
+        }
+    }
 }
 
-fn section(subject: &Judged, index: usize, is_open: bool, threshold: f64) -> String {
-    let open = if is_open { " open" } else { "" };
-    let mut page = format!(
-        "<details class=subject id=s{index}{open}><summary>{}<h2>{}</h2></summary><p>{}. {:.1} million answers in \
-         {:.1} s.</p><div class=wide><table class=tests><tr><th>verdict<th>test<th>checks<th>worst<th>where\n",
-        chip(subject.verdict),
-        escape(&subject.name),
-        subject.claims.text(),
-        subject.answers as f64 / 1e6,
-        subject.seconds
-    );
-    for summary in &subject.tests {
-        add(
-            &mut page,
-            format_args!(
-                "<tr><td>{}<td>{}<div class=question>{}</div><td>{}<td class=figure>{}<td class=note>{}\n",
-                chip(summary.verdict),
-                summary.test.name(),
-                summary.test.question(),
-                summary.count,
-                figure(&summary.worst),
-                escape(&place_and_note(summary))
-            ),
-        );
+/// The steps of a scale of colours.
+fn scale(name: char) -> Markup {
+    html! {
+        svg viewBox=(format!("0 0 {LEVELS} 8")) preserveAspectRatio="none" {
+            @for level in 0..LEVELS {
+                path class=(format!("{name}{level}")) stroke-width="8" d=(format!("M{level} 4h1.05")) {}
+            }
+        }
     }
-    add(&mut page, format_args!("</table></div><h3>Directional albedo</h3>{}", svg::albedo(&subject.views)));
-    page += "<h3>Views</h3><div class=views>";
-    for sight in &subject.views {
-        page += &card(subject, sight, threshold);
+}
+
+fn section(subject: &Judged, index: usize, is_open: bool, threshold: f64) -> Markup {
+    html! {
+        details.subject id=(format!("s{index}")) open[is_open] {
+            summary { (chip(subject.verdict)) h2 { (subject.name) } }
+            p {
+                (subject.claims.text())
+                (format!(". {:.1} million answers in {:.1} s.", subject.answers as f64 / 1e6, subject.seconds))
+            }
+            div.wide {
+                table.tests {
+                    tr { th { "verdict" } th { "test" } th { "checks" } th { "worst" } th { "where" } }
+                    @for summary in &subject.tests {
+                        tr {
+                            td { (chip(summary.verdict)) }
+                            td { (summary.test.name()) div.question { (summary.test.question()) } }
+                            td { (summary.count) }
+                            td.figure { (figure(&summary.worst)) }
+                            td.note { (place_and_note(summary)) }
+                        }
+                    }
+                }
+            }
+            h3 { "Directional albedo" }
+            (PreEscaped(svg::albedo(&subject.views)))
+            h3 { "Views" }
+            div.views { @for sight in &subject.views { (card(subject, sight, threshold)) } }
+        }
     }
-    page + "</div></details>\n"
 }
 
 /// One view.
-fn card(subject: &Judged, sight: &Sight, threshold: f64) -> String {
+fn card(subject: &Judged, sight: &Sight, threshold: f64) -> Markup {
     let bad = bad_tests(subject, sight.view, threshold);
-    let class = if bad.is_empty() { "sight" } else { "sight bad" };
-    let mut page = format!(
-        "<div class='{class}'><h4>view {}<span>{}</span></h4>{}",
-        sight.view,
-        caption(subject, sight, &bad),
-        svg::polar(&sight.picture.slice, -sight.view.theta.to_radians())
-    );
-    for map in &sight.picture.maps {
-        let greatest = svg::greatest(map);
-        let side = match (sight.picture.maps.len(), map.is_upper) {
-            (1, _) => "",
-            (_, true) => ", above",
-            (_, false) => ", below",
-        };
-        page += "<div class=discs>";
-        for (shown, title) in
-            [(Shown::Expected, "expected"), (Shown::Observed, "observed"), (Shown::Residual, "residual")]
-        {
-            add(&mut page, format_args!("<div>{}{title}{side}</div>", svg::disc(map, shown, greatest)));
+    html! {
+        div.sight.bad[!bad.is_empty()] {
+            h4 { "view " (sight.view.to_string()) span { (caption(subject, sight, &bad)) } }
+            (PreEscaped(svg::polar(&sight.picture.slice, -sight.view.theta.to_radians())))
+            @for map in &sight.picture.maps { (discs(map, sight.picture.maps.len())) }
         }
-        page += "</div>";
     }
-    page + "</div>"
+}
+
+/// A hemisphere, as one of so many.
+fn discs(map: &Map, hemispheres: usize) -> Markup {
+    let greatest = svg::greatest(map);
+    let side = match (hemispheres, map.is_upper) {
+        (1, _) => "",
+        (_, true) => ", above",
+        (_, false) => ", below",
+    };
+    let kinds = [(Shown::Expected, "expected"), (Shown::Observed, "observed"), (Shown::Residual, "residual")];
+    html! {
+        div.discs {
+            @for (shown, title) in kinds { div { (PreEscaped(svg::disc(map, shown, greatest))) (title) (side) } }
+        }
+    }
 }
 
 /// Tests of the whole that failed at a view.
@@ -194,9 +197,9 @@ fn bad_tests(subject: &Judged, view: View, threshold: f64) -> Vec<&'static str> 
     names
 }
 
-fn caption(subject: &Judged, sight: &Sight, bad: &[&str]) -> String {
+fn caption(subject: &Judged, sight: &Sight, bad: &[&str]) -> Markup {
     if !bad.is_empty() {
-        return format!("<b class=fail>{}</b>", bad.join(", "));
+        return html! { b.fail { (bad.join(", ")) } };
     }
     let histogram = subject.findings.iter().find(|f| {
         f.test == Test::ChiSquared
@@ -204,8 +207,9 @@ fn caption(subject: &Judged, sight: &Sight, bad: &[&str]) -> String {
             && f.component.is_none()
             && f.severity == Severity::Failure
     });
-    match histogram.map(|finding| finding.measure) {
+    let text = match histogram.map(|finding| finding.measure) {
         Some(Measure::Statistic { p, .. }) => format!("χ² p {p:.3}, ∫pdf {:.3}", sight.pdf_integral),
         _ => format!("∫pdf {:.3}, delta {:.0} %", sight.pdf_integral, 100.0 * sight.delta_share),
-    }
+    };
+    html! { (text) }
 }

@@ -1,6 +1,6 @@
 //! `glimt add`: new materials for a finished library.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use glimt_core::Library;
@@ -8,7 +8,7 @@ use glimt_disk::is_same;
 use glimt_fit::add::{ADD_STEPS, add, numbers_each};
 use glimt_fit::{doubts, doubts_of};
 
-use crate::fitting::{self, HoldOut, Watch};
+use crate::fitting::{self, HoldOut, JsonErrors, Watch};
 use crate::output::{Format, Overwrite};
 use crate::{inputs, output};
 
@@ -38,18 +38,19 @@ pub struct Arguments {
     hold_out: HoldOut,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Print the errors as JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    json: JsonErrors,
 }
 
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> Result<()> {
     let path = arguments.output.as_ref().unwrap_or(&arguments.library);
     arguments.overwrite.check_file(path, Format::Library)?;
+    arguments.json.check(arguments.overwrite, path)?;
     let claim = is_same(path, &arguments.library).then(|| output::claim(path)).transpose()?;
     let library = Library::open(&arguments.library)?;
-    let mut sources = inputs::open(&arguments.files, &[path])?;
+    let outputs: Vec<&Path> = [path.as_path()].into_iter().chain(arguments.json.file()).collect();
+    let mut sources = inputs::open(&arguments.files, &outputs)?;
     let held = arguments.hold_out.take(&mut sources, arguments.seed);
     let files = [std::slice::from_ref(&arguments.library), &arguments.files].concat();
     let inputs = fitting::inputs(&sources, &fitting::command(&files), true)?;
@@ -72,6 +73,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         );
     }
     let entries = library.entries()?.into_iter().cloned().chain(added.iter().cloned());
-    Library::new(path, entries.collect())?.save()?;
-    fitting::print_errors(path, &added, arguments.json)
+    let library = Library::new(path, entries.collect())?;
+    library.save()?;
+    fitting::print_errors(&library, &added, &arguments.json)
 }

@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let format = arguments.to.map_or_else(|| Format::of(out), Ok)?;
     if arguments.spectral && format != Format::Rgl {
         let extension = format.extension();
-        return Err(Usage(format!("--spectral means nothing for .{extension} files; expected .bsdf")).into());
+        return Err(Usage(format!("--spectral does not apply to .{extension} files, but to .bsdf")).into());
     }
     let colours = if arguments.spectral { Colours::Spectra } else { Colours::Rgb };
     let into_directory = out.is_dir() || out.as_os_str().as_encoded_bytes().ends_with(b"/");

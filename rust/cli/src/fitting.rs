@@ -9,16 +9,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, Result, bail};
 use glimt_core::library::{Entry, Origin};
 use glimt_core::models::ggx::Ggx;
-use glimt_core::{AnyModel, Brdf};
-use glimt_disk::printable;
+use glimt_core::{AnyModel, Brdf, Library};
+use glimt_disk::{is_same, printable};
 use glimt_files::{Samples, Source, sha256};
 use glimt_fit::train::Progress;
 use glimt_fit::{Doubt, Input, Truth, held_out};
 use glimt_report::brdf_error::Swapped;
 use glimt_report::{BrdfError, Protocol};
 use indicatif::ProgressBar;
+use serde_json::json;
 
-use crate::output;
+use crate::inputs::STANDARD;
+use crate::output::{self, Format, Overwrite};
 
 /// How fits to scattered samples are measured.
 #[derive(clap::Args)]
@@ -46,6 +48,40 @@ impl HoldOut {
         }
         held.retain(|_, samples| !samples.is_empty());
         held
+    }
+}
+
+/// Where the errors of a fit are given as JSON.
+#[derive(clap::Args)]
+pub struct JsonErrors {
+    /// Print the errors as JSON instead of the table; with =FILE, write them to FILE besides
+    #[arg(long, value_name = "FILE|-", num_args = 0..=1, require_equals = true, default_missing_value = STANDARD)]
+    json: Option<PathBuf>,
+}
+
+impl JsonErrors {
+    /// Whether the standard output is theirs.
+    pub fn is_printed(&self) -> bool {
+        self.json.as_deref() == Some(Path::new(STANDARD))
+    }
+
+    /// The file that they are written to.
+    pub fn file(&self) -> Option<&Path> {
+        self.json.as_deref().filter(|_| !self.is_printed())
+    }
+
+    /// Refuses a file that cannot be written or must not be, before any work is done; `library` is written, too.
+    ///
+    /// # Errors
+    /// Names the file and why.
+    pub fn check(&self, overwrite: Overwrite, library: &Path) -> Result<()> {
+        let Some(file) = self.file() else { return Ok(()) };
+        // By name as well: neither need be there yet.
+        let absolute = |path| std::path::absolute(path).ok();
+        if is_same(file, library) || absolute(file) == absolute(library) {
+            bail!("{} cannot be both the library and its errors as JSON; name another file", file.display());
+        }
+        overwrite.check(file, Format::Json).map(drop)
     }
 }
 
@@ -95,16 +131,16 @@ pub fn command(files: &[PathBuf]) -> String {
         }
         let argument = argument.to_string_lossy().into_owned();
         match argument.as_str() {
-            "--resume" | "--json" | "--force" => {}
+            "--resume" | "--json" | "--force" | "--if-changed" => {}
             "-o" | "--output" | "--threads" => drop(arguments.next()),
-            _ if argument.starts_with("--output=") || argument.starts_with("--threads=") => {}
+            _ if ["--output=", "--threads=", "--json="].iter().any(|start| argument.starts_with(start)) => {}
             _ => words.push(argument),
         }
     }
     words.join(" ")
 }
 
-/// Says what is hardly meant, a line each.
+/// Prints a warning for each doubt.
 pub fn warn(doubts: &[Doubt]) {
     for doubt in doubts {
         output::note(&format!("warning: {doubt}"));
@@ -223,21 +259,30 @@ const COLUMNS: [(&str, &str, usize); 10] = [
     ("swapped_log_mae", "log-MAE", 5),
 ];
 
-/// The errors of `entries`, as a table for people or as one JSON object.
+/// Prints the errors of `entries` of a library as a table, and gives them as JSON where that is asked for.
 ///
 /// # Errors
-/// Of the standard output.
-pub fn print_errors(path: &Path, entries: &[Entry], json: bool) -> Result<()> {
-    if json {
-        let errors: BTreeMap<&str, _> =
-            entries.iter().map(|entry| (entry.name.as_str(), &entry.origin.metrics)).collect();
-        let object = serde_json::json!({ "file": path.display().to_string(), "materials": errors });
-        return output::print_raw(&format!("{object}\n"));
+/// Of the standard output, or the file cannot be written.
+pub fn print_errors(library: &Library, entries: &[Entry], json: &JsonErrors) -> Result<()> {
+    if !json.is_printed() {
+        output::print(&table(entries))?;
     }
-    let columns: Vec<_> = COLUMNS
-        .into_iter()
-        .filter(|(key, ..)| entries.iter().all(|entry| entry.origin.metrics.contains_key(*key)))
-        .collect();
+    give_json(library, entries, json)
+}
+
+/// Gives the errors of `entries` of a library as JSON where that is asked for.
+///
+/// # Errors
+/// As [`print_errors`].
+pub fn give_json(library: &Library, entries: &[Entry], json: &JsonErrors) -> Result<()> {
+    if json.is_printed() {
+        return output::print_raw(&errors_json(library, entries)?);
+    }
+    json.file().map_or(Ok(()), |file| output::write(file, errors_json(library, entries)?.as_bytes()))
+}
+
+fn table(entries: &[Entry]) -> String {
+    let columns: Vec<_> = COLUMNS.into_iter().filter(|(key, ..)| mean(entries, key).is_some()).collect();
     let width = entries.iter().map(|entry| printable(&entry.name).chars().count()).max().unwrap_or(0).max(8);
     let row = |name: &str, cell: &dyn Fn(&str, &str, usize) -> String| {
         let cells = columns.iter().map(|&(key, heading, decimals)| {
@@ -252,10 +297,40 @@ pub fn print_errors(path: &Path, entries: &[Entry], json: bool) -> Result<()> {
         });
     }
     if entries.len() > 1 {
-        let mean = |key: &str| {
-            entries.iter().map(|entry| entry.origin.metrics[key]).sum::<f64>() / entries.len() as f64
-        };
-        text += &row("mean", &|key, _, decimals| format!("{:.decimals$}", mean(key)));
+        text += &row("mean", &|key, _, decimals| {
+            format!("{:.decimals$}", mean(entries, key).expect("a column has a number for every material"))
+        });
     }
-    output::print(&text)
+    text
+}
+
+/// The mean of a metric, if all of the materials have it.
+fn mean(entries: &[Entry], key: &str) -> Option<f64> {
+    let values: Option<Vec<f64>> = entries.iter().map(|e| e.origin.metrics.get(key).copied()).collect();
+    values.map(|values| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// What docs/guide/scripts.md says of `--json`.
+fn errors_json(library: &Library, entries: &[Entry]) -> Result<String> {
+    let mut materials = serde_json::Map::new();
+    for entry in entries {
+        let (own, _) = Library::new(library.path(), vec![entry.clone()])?.tensor_bytes()?;
+        let mut material = json!(entry.origin.metrics);
+        material["bytes"] = json!(own);
+        materials.insert(entry.name.clone(), material);
+    }
+    let keys = entries.first().into_iter().flat_map(|entry| entry.origin.metrics.keys());
+    let means: BTreeMap<&str, f64> =
+        keys.filter_map(|key| Some((key.as_str(), mean(entries, key)?))).collect();
+    let path = library.path();
+    let bytes = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?.len();
+    let object = json!({
+        "file": path.display().to_string(),
+        "model": library.kind().name(),
+        "bytes": bytes,
+        "shared_bytes": library.tensor_bytes()?.1,
+        "materials": materials,
+        "mean": means,
+    });
+    Ok(format!("{object}\n"))
 }

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use glimt_core::kernels::network::Network;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::models::hybrid::Form;
 use glimt_core::models::tabulated::Table;
-use glimt_core::sampling::Sampler;
+use glimt_core::sampling::Plan;
 use glimt_core::{AnyModel, Library, Material, Oddity, Vec3};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source};
 use serde::Serialize;
+use serde_json::Value;
 
 use crate::inputs::{self, STANDARD, StandardInput};
 use crate::output;
@@ -58,8 +58,11 @@ struct Info {
 #[serde(untagged)]
 enum Content {
     Library {
+        /// As the library's header has it.
         #[serde(skip_serializing_if = "Option::is_none")]
-        form: Option<Form>,
+        form: Option<Value>,
+        /// The form in words.
+        described: String,
         #[serde(skip_serializing_if = "Option::is_none")]
         network: Option<NetworkInfo>,
         bytes_per_material: usize,
@@ -69,6 +72,7 @@ enum Content {
     Measured {
         material: String,
         description: String,
+        described: String,
         isotropic: bool,
         /// What is odd about the file, and what was made of it.
         odd: Vec<Oddity>,
@@ -151,12 +155,13 @@ impl Info {
         let mut text = String::new();
         let head = format!("{}: {}", printable(&self.file), self.kind);
         match &self.content {
-            Content::Measured { material, description, isotropic, odd, sampler } => {
+            Content::Measured { material, description, described, isotropic, odd, sampler } => {
                 line(&mut text, &format!("{head} measurement, {} bytes", thousands(self.bytes)));
                 line(&mut text, &format!("  material     {}", printable(material)));
                 if !description.is_empty() {
                     line(&mut text, &format!("  description  {}", printable(description)));
                 }
+                line(&mut text, &format!("  form         {described}"));
                 let symmetry = if *isotropic { "isotropic" } else { "anisotropic" };
                 line(&mut text, &format!("  symmetry     {symmetry}"));
                 odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
@@ -172,7 +177,7 @@ impl Info {
                 line(&mut text, &format!("  f            mean {}, largest {}", rgb(mean), rgb(largest)));
                 odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
             }
-            Content::Library { form, network, bytes_per_material, shared_bytes, materials } => {
+            Content::Library { described, network, bytes_per_material, shared_bytes, materials, .. } => {
                 let count = materials.len();
                 let plural = if count == 1 { "" } else { "s" };
                 line(
@@ -183,9 +188,7 @@ impl Info {
                     let sizes: Vec<String> = sizes.iter().map(usize::to_string).collect();
                     line(&mut text, &format!("  network      {}, {activation}", sizes.join("-")));
                 }
-                if let Some(form) = form {
-                    line(&mut text, &format!("  form         {}", form_text(form)));
-                }
+                line(&mut text, &format!("  form         {described}"));
                 let (own, shared) = (thousands(*bytes_per_material as u64), thousands(*shared_bytes as u64));
                 line(&mut text, &format!("  size         {own} bytes per material and {shared} shared"));
                 let width = materials
@@ -206,10 +209,8 @@ fn library_content(library: &Library) -> Result<Content> {
     let first = &library.first()?.material;
     let (bytes_per_material, shared_bytes) = library.tensor_bytes()?;
     Ok(Content::Library {
-        form: match first.model() {
-            AnyModel::Hybrid(hybrid) => Some(hybrid.form()),
-            _ => None,
-        },
+        form: library.form()?,
+        described: first.describe(),
         network: first.network().map(NetworkInfo::new),
         bytes_per_material,
         shared_bytes,
@@ -221,6 +222,7 @@ fn table_content(name: &str, table: &dyn Table, sampled: &Material) -> Content {
     Content::Measured {
         material: name.to_owned(),
         description: table.description().to_owned(),
+        described: sampled.describe(),
         isotropic: table.is_isotropic(),
         odd: table.oddities().to_vec(),
         sampler: SamplerInfo::new(sampled),
@@ -296,8 +298,11 @@ impl MaterialInfo {
 
 impl SamplerInfo {
     fn new(material: &Material) -> SamplerInfo {
-        let bytes = if let Sampler::Table(table) = material.sampler() { table.bytes() } else { 0 };
-        SamplerInfo { name: material.plan().name(), bytes }
+        let plan = material.plan();
+        // Told by its resolution: to make the table takes longer than to read the file.
+        let bytes =
+            if let Plan::Table(resolution) = plan { resolution.bytes(material.is_isotropic()) } else { 0 };
+        SamplerInfo { name: plan.name(), bytes }
     }
 
     fn text(&self) -> String {
@@ -305,19 +310,6 @@ impl SamplerInfo {
             0 => self.name.to_owned(),
             bytes => format!("{} of {} bytes", self.name, thousands(bytes as u64)),
         }
-    }
-}
-
-fn form_text(form: &Form) -> String {
-    let logarithm = if form.analytic_input { " and ln f_a" } else { "" };
-    format!("{} inputs{logarithm}, {}", spelling(&form.inputs), spelling(&form.composition))
-}
-
-/// A variant as files spell it.
-fn spelling(variant: &impl Serialize) -> String {
-    match serde_json::to_value(variant) {
-        Ok(serde_json::Value::String(name)) => name,
-        other => format!("{other:?}"),
     }
 }
 

@@ -24,7 +24,9 @@ pub const STANDARD: &str = "-";
 pub fn file() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().try_map(|path| {
         if path == Path::new(STANDARD) {
-            return Err("the standard input and output mean nothing here; ./- is a file of that name");
+            return Err(
+                "a file is expected here, not the standard input or output (-); ./- is a file of that name",
+            );
         }
         Ok(path)
     })
@@ -92,12 +94,19 @@ pub fn keep_apart<'a>(inputs: impl IntoIterator<Item = &'a Path>, outputs: &[&Pa
     Ok(())
 }
 
-/// Opens all inputs, with a progress bar.
+/// Opens all inputs.
 ///
 /// # Errors
 /// Those of [`expand`] and [`Source::open`].
 pub fn open(arguments: &[PathBuf], outputs: &[&Path]) -> Result<Vec<Source>> {
-    let files = expand(arguments, outputs)?;
+    open_files(&expand(arguments, outputs)?)
+}
+
+/// Opens files, with a progress bar.
+///
+/// # Errors
+/// Those of [`Source::open`].
+pub fn open_files(files: &[PathBuf]) -> Result<Vec<Source>> {
     let bar = output::progress_bar(files.len(), "open");
     let open = |file| bar.wrap_iter(std::iter::once(file)).map(Source::open).next().expect("one file");
     Ok(files.iter().map(open).collect::<Result<_, _>>()?)

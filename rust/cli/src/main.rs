@@ -17,7 +17,7 @@ mod output;
 mod report;
 mod sample;
 mod simulated;
-mod spherical;
+mod values;
 
 use std::borrow::Cow;
 use std::process::ExitCode;

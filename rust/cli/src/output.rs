@@ -80,7 +80,7 @@ impl Overwrite {
         match &place {
             Place::File(file) if !self.force => refuse_other_format(path, file, format)?,
             Place::StandardOutput if io::stdout().is_terminal() => {
-                bail!("{} is nothing for a terminal; send it to a file or a pipe", format.name())
+                bail!("{} cannot be shown on a terminal; write it to a file or a pipe", format.name())
             }
             _ => {}
         }

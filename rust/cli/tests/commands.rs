@@ -3,6 +3,7 @@
 mod common;
 
 use common::{Folder, ggx, shared};
+use glimt_core::sampling::Sampler;
 use glimt_core::{Brdf, Library, SampleBrdf, Vec3};
 use glimt_files::{Array, Source};
 
@@ -81,6 +82,8 @@ fn info_says_what_files_hold() {
     assert!(text.contains("28 bytes per material and 0 shared"), "{text}");
     assert!(text.contains("orange  kd 0.600 0.300 0.100  eta 1.500 1.500 1.500"), "{text}");
     assert!(text.contains("cloth.bin: utia measurement"), "{text}");
+    assert!(text.contains("form         6 × 48 lights and as many views"), "{text}");
+    assert!(text.contains("form         Lambert and GGX with exact Fresnel"), "{text}");
     let lines = folder.succeeds(&["info", "--json", "."]);
     let objects: Vec<serde_json::Value> =
         lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
@@ -89,6 +92,11 @@ fn info_says_what_files_hold() {
     assert_eq!(objects[1]["bytes_per_material"], 28);
     assert_eq!(objects[1]["materials"][2]["kd"][0].as_f64().map(|kd| kd as f32), Some(0.2));
     assert_eq!(objects[1]["materials"][1]["source"], "mint.bsdf");
+    assert_eq!(objects[1]["described"], "Lambert and GGX with exact Fresnel");
+    // As many bytes as the table has that is made for the first sample.
+    let cloth = Source::open(folder.path("cloth.bin")).unwrap();
+    let Sampler::Table(table) = cloth.brdf(None).unwrap().sampler() else { panic!("no table") };
+    assert_eq!(objects[0]["sampler"]["bytes"], table.bytes());
 }
 
 #[test]
@@ -389,5 +397,5 @@ fn convert_writes_spectra_on_request() {
     let (rgb, spectral) = (f("rgb.bsdf"), f("spectral.bsdf"));
     assert!((rgb - spectral).abs().max_element() < 0.01 * rgb.max_element(), "{rgb} {spectral}");
     let line = folder.fails(2, &[&grey[..], &["--spectral", "x.binary"]].concat());
-    assert!(line.contains("--spectral means nothing for .binary"), "{line}");
+    assert!(line.contains("--spectral does not apply to .binary"), "{line}");
 }

@@ -42,6 +42,7 @@ fn every_variant_of_factor_is_fitted() {
     assert!(smape(&["--variant", "bivariate"]) < 0.2);
     assert_eq!(form(), (Variant::Bivariate, Interpolation::Linear));
     let info = folder.succeeds(&["info", "tables.safetensors"]);
+    assert!(info.contains("form         bivariate, linear in 90 × 90 bins"), "{info}");
     assert!(
         info.contains("factor models, 1 material") && info.contains("97,200 bytes per material"),
         "{info}"
@@ -71,15 +72,15 @@ fn the_same_seed_gives_the_same_tables() {
 }
 
 #[test]
-fn options_that_mean_nothing_for_tables_are_refused() {
+fn options_that_do_not_apply_to_tables_are_refused() {
     let folder = Folder::new();
     let fit = |more: &[&'static str]| [&["fit", "-o", "new.safetensors", "cloth.bin"], more].concat();
     for option in [&["--net", "32x2"][..], &["--rate", "0.1"], &["--paper"], &["--reciprocal"]] {
         let line = folder.fails(2, &[&fit(&["--model", "factor"])[..], option].concat());
-        assert!(line.contains(&format!("{} means nothing for --model factor", option[0])), "{line}");
+        assert!(line.contains(&format!("{} does not apply to --model factor", option[0])), "{line}");
     }
     let line = folder.fails(2, &fit(&["--model", "ggx", "--variant", "naive"]));
-    assert!(line.contains("--variant means nothing for --model ggx"), "{line}");
+    assert!(line.contains("--variant does not apply to --model ggx"), "{line}");
     let line = folder.fails(2, &fit(&["--model", "factor", "--variant", "dependent-g"]));
     assert!(line.contains("dependent-g") && line.contains("g-from-d"), "{line}");
     std::fs::write(folder.path("scan.csv"), "0,0,1,0,0,1,0.5,0.5,0.5\n").unwrap();

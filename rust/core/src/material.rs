@@ -248,6 +248,12 @@ impl Material {
         with_model!(&self.model, model => model.is_isotropic())
     }
 
+    /// See [`Model::describe`].
+    #[must_use]
+    pub fn describe(&self) -> String {
+        with_model!(&self.model, model => model.describe())
+    }
+
     /// See [`Model::is_reciprocal`].
     #[must_use]
     pub fn is_reciprocal(&self) -> bool {

@@ -160,20 +160,21 @@ impl Samples {
         let mut samples = Samples::with_capacity(text.lines().filter(|line| is_content(line)).count());
         let mut columns = None;
         let mut is_headed = false;
+        let mut fields = Fields::default();
         for (number, line) in text.lines().enumerate() {
             let at = |reason| format!("line {}: {reason}", number + 1);
             let is_before_samples = samples.is_empty() && samples.grazing == 0;
             if !is_content(line) {
                 let remark = line.trim().trim_start_matches('#');
-                if is_before_samples && !is_headed && names_columns(remark) {
-                    columns = Some(Columns::from_header(remark).map_err(at)?);
+                if is_before_samples && !is_headed && fields.split(remark).names_columns() {
+                    columns = Some(Columns::from_header(&fields, remark).map_err(at)?);
                 }
-            } else if is_before_samples && !is_headed && is_header(line) {
-                columns = Some(Columns::from_header(line).map_err(at)?);
+            } else if is_before_samples && !is_headed && fields.split(line).is_header() {
+                columns = Some(Columns::from_header(&fields, line).map_err(at)?);
                 is_headed = true;
             } else {
                 let columns = columns.get_or_insert_with(Columns::standard);
-                let row = columns.row(line).map_err(at)?;
+                let row = columns.row(fields.split(line)).map_err(at)?;
                 samples.push(row).map_err(at)?;
             }
         }
@@ -214,35 +215,107 @@ fn is_content(line: &str) -> bool {
     !line.is_empty() && !line.starts_with('#')
 }
 
-fn is_header(line: &str) -> bool {
-    fields(line).next().is_some_and(|first| number(first).is_none())
-}
-
-/// Whether a remark names columns: most of its words are names that are known.
-fn names_columns(remark: &str) -> bool {
-    let (mut known, mut all) = (0, 0);
-    for field in fields(remark).take(MOST_COLUMNS) {
-        known += usize::from(is_known(&column_name(field)));
-        all += 1;
-    }
-    known >= 2 && 2 * known > all
-}
-
-/// The fields of a line without the quotes around them; see the module for what may separate them.
-fn fields(line: &str) -> impl Iterator<Item = &str> {
+/// What separates the fields of a line; `None` for spaces, any number of them. See the module.
+fn separator(line: &str) -> Option<u8> {
     let has = |mark: char| line.contains(mark);
-    let mark = if has(';') {
-        Some(';')
+    if has(';') {
+        Some(b';')
     } else if has('\t') && !line.contains(",\t") {
-        Some('\t')
+        Some(b'\t')
     } else {
-        has(',').then_some(',')
-    };
-    let fields = line.trim().split(move |c: char| mark.map_or(c.is_whitespace(), |mark| c == mark));
-    // Any number of spaces separates.
-    fields.filter(move |field| mark.is_some() || !field.is_empty()).map(|field| unquoted(field.trim()))
+        has(',').then_some(b',')
+    }
 }
 
+/// The fields of a line without the quotes around them, of which no more are kept than any line has that is read.
+#[derive(Default)]
+struct Fields {
+    /// One behind the other.
+    text: String,
+    ends: [usize; MOST_COLUMNS + 1],
+    count: usize,
+    /// Whether there is a quote before the first: R writes the names of rows so.
+    is_quoted: bool,
+    parser: Option<(u8, csv_core::Reader)>,
+}
+
+impl Fields {
+    /// Reads a line. One with a separator is CSV (RFC 4180).
+    fn split(&mut self, line: &str) -> &Self {
+        let line = line.trim();
+        self.count = 0;
+        self.is_quoted = line.starts_with('"');
+        let mut bytes = std::mem::take(&mut self.text).into_bytes();
+        bytes.clear();
+        match separator(line) {
+            Some(separator) => self.parse(line.as_bytes(), separator, &mut bytes),
+            None => {
+                for field in line.split_whitespace() {
+                    bytes.extend_from_slice(field.as_bytes());
+                    self.end_at(&[bytes.len()]);
+                }
+            }
+        }
+        self.text = String::from_utf8(bytes).expect("fields of a text are text");
+        self
+    }
+
+    fn parse(&mut self, mut line: &[u8], separator: u8, out: &mut Vec<u8>) {
+        let build = || csv_core::ReaderBuilder::new().delimiter(separator).build();
+        let mut parser = match self.parser.take() {
+            Some((last, parser)) if last == separator => parser,
+            _ => build(),
+        };
+        parser.reset();
+        // No field is longer than it is written.
+        out.resize(line.len(), 0);
+        let mut written = 0;
+        loop {
+            let mut ends = [0; MOST_COLUMNS + 1];
+            let (result, read, more, ended) = parser.read_record(line, &mut out[written..], &mut ends);
+            line = &line[read..];
+            written += more;
+            self.end_at(&ends[..ended]);
+            // An empty rest ends the record.
+            if matches!(result, csv_core::ReadRecordResult::Record | csv_core::ReadRecordResult::End) {
+                break;
+            }
+        }
+        out.truncate(written);
+        self.parser = Some((separator, parser));
+    }
+
+    fn end_at(&mut self, ends: &[usize]) {
+        for &end in ends {
+            if let Some(place) = self.ends.get_mut(self.count) {
+                *place = end;
+            }
+            self.count += 1;
+        }
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &str> {
+        let ends = &self.ends[..self.count.min(self.ends.len())];
+        let starts = std::iter::once(&0).chain(ends);
+        starts.zip(ends).map(|(&start, &end)| unquoted(self.text[start..end].trim()))
+    }
+
+    fn is_header(&self) -> bool {
+        self.iter().next().is_some_and(|first| number(first).is_none())
+    }
+
+    /// Whether a remark names columns: most of its words are names that are known.
+    fn names_columns(&self) -> bool {
+        let (mut known, mut all) = (0, 0);
+        for field in self.iter().take(MOST_COLUMNS) {
+            known += usize::from(is_known(&column_name(field)));
+            all += 1;
+        }
+        known >= 2 && 2 * known > all
+    }
+}
+
+/// A field without the quotes that CSV does not know as such: single ones, and those behind a space.
 fn unquoted(field: &str) -> &str {
     let within = |quote: char| field.strip_prefix(quote)?.strip_suffix(quote);
     within('"').or_else(|| within('\'')).map_or(field, str::trim)
@@ -323,9 +396,9 @@ impl Columns {
         Columns::Cartesian(Places { columns: std::array::from_fn(|i| i), width: CARTESIAN.len() })
     }
 
-    fn from_header(line: &str) -> Result<Columns, String> {
+    fn from_header(fields: &Fields, line: &str) -> Result<Columns, String> {
         // One more than any form has tells that there are too many, however long the line is.
-        let names: Vec<String> = fields(line).take(MOST_COLUMNS + 1).map(column_name).collect();
+        let names: Vec<String> = fields.iter().map(column_name).collect();
         let plain = |name: &str| names.iter().position(|other| other == name).map(|place| (place, 1.0));
         let degrees = |name: &str| Some((plain(&format!("{name}{DEGREES}"))?.0, 1_f64.to_radians()));
         if let Some((places, _)) = Places::find(&CARTESIAN, &names, plain) {
@@ -347,10 +420,10 @@ impl Columns {
         }
     }
 
-    fn row(&self, line: &str) -> Result<Row, String> {
+    fn row(&self, fields: &Fields) -> Result<Row, String> {
         match self {
-            Columns::Cartesian(places) => Ok(Row::cartesian(&places.numbers(line)?)),
-            Columns::Angles(places, units) => Row::angles(&places.numbers(line)?, units),
+            Columns::Cartesian(places) => Ok(Row::cartesian(&places.numbers(fields)?)),
+            Columns::Angles(places, units) => Row::angles(&places.numbers(fields)?, units),
         }
     }
 }
@@ -372,19 +445,13 @@ impl<const N: usize> Places<N> {
     }
 
     /// The numbers of a line in the order of the form.
-    fn numbers(&self, line: &str) -> Result<[f64; N], String> {
+    fn numbers(&self, fields: &Fields) -> Result<[f64; N], String> {
         let mut read = [""; MOST_COLUMNS];
-        let mut count = 0;
-        for field in fields(line) {
-            if let Some(place) = read.get_mut(count) {
-                *place = field;
-            }
-            count += 1;
-        }
-        // R writes the names of rows in quotes, and no name for their column.
-        let row_names = usize::from(count == self.width + 1 && line.trim_start().starts_with('"'));
-        if count != self.width + row_names {
-            return Err(format!("{count} columns, expected {}", self.width));
+        read.iter_mut().zip(fields.iter()).for_each(|(place, field)| *place = field);
+        // R has no name for their column.
+        let row_names = usize::from(fields.count == self.width + 1 && fields.is_quoted);
+        if fields.count != self.width + row_names {
+            return Err(format!("{} columns, expected {}", fields.count, self.width));
         }
         let mut numbers = [0.0; N];
         for (found, column) in numbers.iter_mut().zip(self.columns) {
@@ -506,6 +573,11 @@ mod tests {
                  0;0;1;0,6;0;0,8;1;2;3\r\n0,6;0;0,8;0;0;1;4;5;6,5\r\n",
             ),
             (
+                "quotes around whole lines of names and numbers, and a remark in a quoted name of a row",
+                "\"\",'light_x','light_y', \"light_z\",view_x,view_y,view_z,r,g,b\n\
+                 \"one, \"\"two\"\"\",\"0\",0,1,0.6,0,0.8,1,2,3\n\"x\",0.6,0,0.8,0,0,1,4,5,6.5\n",
+            ),
+            (
                 "pandas",
                 ",light_x,light_y,light_z,view_x,view_y,view_z,r,g,b\n\
                  0,0,0,1,0.6,0,0.8,1,2,3\n1,0.6,0,0.8,0,0,1,4,5,6.5\n",
@@ -575,6 +647,7 @@ mod tests {
         for (line, expected) in [
             ("0,0,1,0,0,1,1,1", "line 3: 8 columns, expected 9"),
             ("0,0,1,0,0,1,1,1,1,1", "line 3: 10 columns, expected 9"),
+            ("0,0,1,0,0,1,1,1,1,,,,,,,,,,,,,,,,,", "line 3: 26 columns, expected 9"),
             ("0,0,1,0,0,x,1,1,1", "line 3: \"x\" is not a number (column 6)"),
             ("0,0,2,0,0,1,1,1,1", "line 3: the light direction has the length 2, expected 1"),
             ("0,0,1,NaN,0,1,1,1,1", "line 3: the view direction has the length NaN"),

@@ -25,6 +25,12 @@ impl Directions {
         Directions { phi, theta }
     }
 
+    /// Number of slices.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.phi.len() * self.theta.len()
+    }
+
     /// The slices around (φ, θ), both in radians; outside the knots the nearest slice answers.
     #[inline]
     #[must_use]
@@ -139,6 +145,12 @@ where
     pub fn new(extent: Extent, values: Vec<T>) -> Grid<T> {
         debug_assert_eq!(values.len() % extent.knots(), 0);
         Grid { extent, values }
+    }
+
+    /// Knots of a slice.
+    #[must_use]
+    pub fn extent(&self) -> Extent {
+        self.extent
     }
 
     /// The value at `u` (clamped to the unit square) for the direction that `blend` stands for.

@@ -239,6 +239,11 @@ impl Table for Merl {
         "merl"
     }
 
+    fn grid(&self) -> String {
+        let [theta_half, theta_diff, phi_diff] = BINS;
+        format!("{theta_half} × {theta_diff} × {phi_diff} bins of θ_h, θ_d and φ_d")
+    }
+
     fn is_isotropic(&self) -> bool {
         true
     }

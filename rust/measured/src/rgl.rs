@@ -224,6 +224,11 @@ impl Table for Rgl {
         "rgl"
     }
 
+    fn grid(&self) -> String {
+        let (views, Extent { width, height }) = (self.directions.count(), self.reflectance.extent());
+        format!("{views} views of {width} × {height} values")
+    }
+
     /// What the database says about the material.
     fn description(&self) -> &str {
         &self.description

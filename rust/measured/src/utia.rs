@@ -137,6 +137,10 @@ impl Table for Utia {
         "utia"
     }
 
+    fn grid(&self) -> String {
+        format!("{THETAS} × {PHIS} lights and as many views")
+    }
+
     fn is_isotropic(&self) -> bool {
         false
     }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use glimt_disk::printable;
 use serde_json::Value;
 
-use crate::study::{Case, Study};
+use crate::study::{Candidate, Case, Study, Subject};
 
 /// What a line of the CSV says, after material and model.
 type Column = (&'static str, fn(&Case) -> f64);
@@ -23,41 +23,61 @@ const COLUMNS: [Column; 10] = [
     ("exchanged_smape", |case| case.errors.exchanged.smape),
 ];
 
+/// What the head says of every light's images.
+const IMAGE_COLUMNS: [&str; 6] = ["mae", "rmse", "psnr", "ssim", "flip", "hdr_flip"];
+/// Ways to ask a model, as the head and as the study name them.
+const WAYS: [(&str, &str); 5] = [
+    ("batch_ns", "batch"),
+    ("packet_ns", "packet of 8"),
+    ("single_ns", "single"),
+    ("sample_ns", "sample"),
+    ("pdf_ns", "pdf"),
+];
+
 /// One line for each material and model: errors, and the model's cost beside them.
 #[must_use]
 pub fn csv(study: &Study) -> String {
-    let mut csv = String::from("material,model,kind,net");
-    for (name, _) in COLUMNS {
-        csv = csv + "," + name;
-    }
-    for light in &study.settings.lights {
-        for metric in ["mae", "rmse", "psnr", "ssim", "flip", "hdr_flip"] {
-            csv += &format!(",{}_{metric}", field(light));
-        }
-    }
-    csv += ",bytes_per_material,bytes_shared,batch_ns,packet_ns,single_ns,sample_ns,pdf_ns,fit_seconds\n";
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let mut write = |line: Vec<String>| csv.write_record(line).expect("memory takes lines of as many fields");
+    write(head(study));
     for subject in &study.subjects {
         for case in &subject.cases {
             let Some(candidate) = study.candidate(&case.candidate) else { continue };
-            let (name, model) = (field(&subject.name), field(&candidate.name));
-            csv += &format!("{name},{model},{},{}", candidate.kind, candidate.net);
-            for (_, value) in COLUMNS {
-                let _ = write!(csv, ",{}", value(case));
-            }
-            for image in &case.images {
-                let d = &image.difference;
-                for value in [d.mae, d.rmse, d.psnr, d.ssim, image.flip, image.hdr_flip] {
-                    let _ = write!(csv, ",{value}");
-                }
-            }
-            let _ = write!(csv, ",{},{}", candidate.own_bytes, candidate.shared_bytes);
-            for way in ["batch", "packet of 8", "single", "sample", "pdf"] {
-                csv += &candidate.times.get(way).map_or(",".into(), |time| format!(",{}", time.median));
-            }
-            csv += &candidate.fit_seconds.map_or(",\n".into(), |seconds| format!(",{seconds}\n"));
+            write(line(subject, case, candidate));
         }
     }
-    csv
+    let bytes = csv.into_inner().expect("memory takes all");
+    String::from_utf8(bytes).expect("fields of text are text")
+}
+
+fn head(study: &Study) -> Vec<String> {
+    let mut head = ["material", "model", "kind", "net"].map(str::to_owned).to_vec();
+    head.extend(COLUMNS.map(|(name, _)| name.to_owned()));
+    for light in &study.settings.lights {
+        head.extend(IMAGE_COLUMNS.map(|metric| format!("{light}_{metric}")));
+    }
+    head.extend(["bytes_per_material", "bytes_shared"].map(str::to_owned));
+    head.extend(WAYS.map(|(name, _)| name.to_owned()));
+    head.push("fit_seconds".to_owned());
+    head
+}
+
+/// What is not known is empty.
+fn line(subject: &Subject, case: &Case, candidate: &Candidate) -> Vec<String> {
+    let known = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
+    let Candidate { name, kind, net, .. } = candidate;
+    let mut line = [&subject.name, name, kind, net].map(String::clone).to_vec();
+    line.extend(COLUMNS.map(|(_, value)| value(case).to_string()));
+    for image in &case.images {
+        let d = &image.difference;
+        let values = [d.mae, d.rmse, d.psnr, d.ssim].map(|x| x.to_string());
+        line.extend(values);
+        line.extend([image.flip, image.hdr_flip].map(|x| x.to_string()));
+    }
+    line.extend([candidate.own_bytes, candidate.shared_bytes].map(|bytes| bytes.to_string()));
+    line.extend(WAYS.map(|(_, way)| known(candidate.times.get(way).map(|time| time.median))));
+    line.push(known(candidate.fit_seconds));
+    line
 }
 
 /// The models as a short table for people.
@@ -92,15 +112,6 @@ pub fn text(study: &Study) -> String {
     text + "\n"
 }
 
-/// A field of a CSV file (RFC 4180).
-fn field(text: &str) -> String {
-    if text.contains([',', '"', '\n', '\r']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.to_owned()
-    }
-}
-
 /// The study as JSON, without its pictures and slices.
 #[must_use]
 pub fn json(study: &Study) -> String {
@@ -128,13 +139,23 @@ mod tests {
     use crate::study::tests::small;
 
     #[test]
-    fn every_line_has_as_many_fields_as_the_head() {
-        let csv = csv(&small());
-        let fields = |line: &str| line.split(',').count();
-        let lines: Vec<&str> = csv.lines().collect();
-        assert_eq!(lines.len(), 3);
-        assert!(lines.iter().all(|line| fields(line) == fields(lines[0])), "{csv}");
-        assert_eq!(field("a, \"b\""), "\"a, \"\"b\"\"\"");
+    fn the_csv_is_a_line_for_every_case_and_keeps_names_and_figures() {
+        let mut study = small();
+        "brass, \"raw\"\n".clone_into(&mut study.subjects[0].name);
+        let text = csv(&study);
+        let mut reader = csv::Reader::from_reader(text.as_bytes());
+        let head = reader.headers().unwrap().clone();
+        // Also refuses lines of another length.
+        let lines: Vec<_> = reader.records().map(Result::unwrap).collect();
+        assert_eq!(lines.len(), 2);
+        let case = &study.subjects[0].cases[0];
+        let field = |name: &str| &lines[0][head.iter().position(|other| other == name).unwrap()];
+        assert_eq!((field("material"), field("model")), ("brass, \"raw\"\n", &*case.candidate));
+        assert_eq!(field("smape").parse(), Ok(case.errors.all.smape));
+        assert_eq!(
+            field(&format!("{}_hdr_flip", study.settings.lights[1])).parse(),
+            Ok(case.images[1].hdr_flip)
+        );
     }
 
     #[test]

@@ -18,7 +18,7 @@ use glimt_files::Source;
 use glimt_fit::Net;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::fit::parse_net;
+use crate::values::parse_net;
 use crate::{inputs, output};
 use cases::Case;
 use report::{Measurement, Report};

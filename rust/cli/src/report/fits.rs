@@ -5,7 +5,6 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use clap::ValueEnum;
 use glimt_core::Library;
 use glimt_fit::Net;
 use serde::{Deserialize, Serialize};
@@ -66,8 +65,7 @@ pub fn libraries(arguments: &Arguments) -> Vec<PathBuf> {
 
 /// The name of a model as an option, and of its network.
 fn spelled(model: ModelName, net: Option<Net>) -> (String, Option<String>) {
-    let kind = model.to_possible_value().expect("every model has a name").get_name().to_owned();
-    (kind, net.map(|Net { width, layers }| format!("{width}x{layers}")))
+    (model.name(), net.map(|Net { width, layers }| format!("{width}x{layers}")))
 }
 
 /// How a fit is called, and the file that it is written to.

@@ -19,8 +19,9 @@ use glimt_report::{Protocol, page, table};
 use serde_json::json;
 
 use crate::bench::report::{cpu, today};
-use crate::fit::{ModelName, parse_net};
+use crate::fit::ModelName;
 use crate::output::{Format, Overwrite};
+use crate::values::parse_net;
 use crate::{Usage, inputs, output};
 use cache::Cache;
 use opponents::{Opponents, Truth};

@@ -101,6 +101,9 @@ struct Header {
     /// The activation of the networks, where the model has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     activation: Option<String>,
+    /// [`Library::digest`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    digest: Option<String>,
     materials: Vec<MaterialHeader>,
 }
 
@@ -148,6 +151,7 @@ pub struct Library {
     path: PathBuf,
     kind: Kind,
     names: Vec<String>,
+    digest: Option<String>,
     entries: Vec<OnceLock<Entry>>,
     /// What reads the others; `None` where there are none.
     file: Option<Arc<Decoder<Entry>>>,
@@ -176,6 +180,7 @@ impl Library {
             path,
             kind: entries[0].material.kind(),
             names: entries.iter().map(|entry| entry.name.clone()).collect(),
+            digest: None,
             entries: entries.into_iter().map(OnceLock::from).collect(),
             file: None,
         })
@@ -211,9 +216,9 @@ impl Library {
     fn from_content(path: PathBuf, content: Content, size: usize) -> Result<Self, Error> {
         let opened =
             OpenFile::new(content, size).map_err(|reason| Error::Format { path: path.clone(), reason })?;
-        let OpenFile { kind, names, decoder, tensor_bytes } = opened;
+        let OpenFile { kind, names, digest, decoder, tensor_bytes } = opened;
         let entries = names.iter().map(|_| OnceLock::new()).collect();
-        let library = Library { path, kind, names, entries, file: Some(Arc::new(decoder)) };
+        let library = Library { path, kind, names, digest, entries, file: Some(Arc::new(decoder)) };
         if tensor_bytes <= SMALL_BYTES {
             library.entries()?;
         }
@@ -239,13 +244,26 @@ impl Library {
     /// As [`Library::entries`].
     pub fn to_bytes(&self) -> Result<Option<Vec<u8>>, Error> {
         let entries = self.entries()?;
-        Ok(with_kind!(self.kind, Stored => Stored::STORED).then(|| encode(&entries)))
+        Ok(with_kind!(self.kind, Stored => Stored::STORED).then(|| encode(&entries, self.digest.clone())))
     }
 
     /// Where the library was read from or will be written.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// What whoever made the library left in its header to recognise it by.
+    #[must_use]
+    pub fn digest(&self) -> Option<&str> {
+        self.digest.as_deref()
+    }
+
+    /// The same library with this to recognise it by. A library of other materials, or of more, is a new one
+    /// without it.
+    #[must_use]
+    pub fn with_digest(self, digest: Option<String>) -> Library {
+        Library { digest, ..self }
     }
 
     /// The materials in the file's order, of which there is one at least.
@@ -260,6 +278,15 @@ impl Library {
     #[must_use]
     pub fn kind(&self) -> Kind {
         self.kind
+    }
+
+    /// What its materials have in common and no tensor's shape tells, as the header has it; `None` for models that
+    /// have nothing of the kind.
+    ///
+    /// # Errors
+    /// As [`Library::entries`].
+    pub fn form(&self) -> Result<Option<Value>, Error> {
+        self.first().map(|first| form(&first.material))
     }
 
     /// Names of the materials in the file's order.
@@ -386,7 +413,7 @@ fn check_names<'a>(names: impl Iterator<Item = &'a str>) -> Result<(), String> {
 }
 
 /// The bytes of a file of `entries`, whose model a library can hold.
-fn encode(entries: &[&Entry]) -> Vec<u8> {
+fn encode(entries: &[&Entry], digest: Option<String>) -> Vec<u8> {
     let first = &entries[0].material;
     let header = Header {
         format: FORMAT_VERSION,
@@ -394,6 +421,7 @@ fn encode(entries: &[&Entry]) -> Vec<u8> {
         color_space: COLOR_SPACE.to_owned(),
         form: form(first),
         activation: activation(first).map(|activation| activation.name().to_owned()),
+        digest,
         materials: entries
             .iter()
             .map(|entry| MaterialHeader { name: entry.name.clone(), origin: entry.origin.clone() })
@@ -457,6 +485,7 @@ impl Architecture {
 struct OpenFile {
     kind: Kind,
     names: Vec<String>,
+    digest: Option<String>,
     decoder: Decoder<Entry>,
     tensor_bytes: usize,
 }
@@ -476,12 +505,12 @@ impl OpenFile {
         let tensors = Tensors::new(content, (metadata, start), header.materials.len(), activation);
         let material = with_kind!(kind, Decoded => decoder::<Decoded>(&tensors, header.form.as_ref()))?;
         let names = header.materials.iter().map(|material| material.name.clone()).collect();
-        let materials = header.materials;
+        let (digest, materials) = (header.digest, header.materials);
         let decoder = move |i: usize| {
             let MaterialHeader { name, origin } = materials[i].clone();
             Ok(Entry { name, material: material(i)?, origin })
         };
-        Ok(OpenFile { kind, names, decoder: Box::new(decoder), tensor_bytes })
+        Ok(OpenFile { kind, names, digest, decoder: Box::new(decoder), tensor_bytes })
     }
 }
 
@@ -795,6 +824,24 @@ mod tests {
         entries.push(stranger);
         let message = Library::new("merged", entries).unwrap_err().to_string();
         assert!(message.contains("different networks"), "{message}");
+    }
+
+    /// Whoever recognises a file by a digest of its bytes relies on that.
+    #[test]
+    fn a_library_that_is_read_has_the_bytes_and_the_digest_that_were_written() {
+        for entries in libraries() {
+            let kind = entries[0].material.kind();
+            let Some(bytes) =
+                Library::new("", entries).unwrap().with_digest(Some("a digest".into())).to_bytes().unwrap()
+            else {
+                continue;
+            };
+            let read = Library::from_bytes("", &bytes).unwrap();
+            assert_eq!(read.digest(), Some("a digest"), "{kind}");
+            assert!(read.to_bytes().unwrap().unwrap() == bytes, "{kind}");
+            let merged = Library::new("", read.entries().unwrap().into_iter().cloned().collect()).unwrap();
+            assert_eq!(merged.digest(), None, "{kind}");
+        }
     }
 
     #[test]

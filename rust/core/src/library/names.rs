@@ -10,26 +10,10 @@ pub fn nearest<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Vec<Stri
         .filter_map(|candidate| {
             let lower = candidate.to_lowercase();
             let contains = !wanted.is_empty() && (lower.contains(&wanted) || wanted.contains(&lower));
-            let distance = if contains { 0 } else { edit_distance(&wanted, &lower) };
+            let distance = if contains { 0 } else { strsim::levenshtein(&wanted, &lower) };
             (contains || distance <= wanted.len().max(lower.len()) / 3).then_some((distance, candidate))
         })
         .collect();
     scored.sort();
     scored.into_iter().take(MOST).map(|(_, name)| name.to_owned()).collect()
-}
-
-/// Levenshtein's distance.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let b: Vec<char> = b.chars().collect();
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, ca) in a.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, &cb) in b.iter().enumerate() {
-            let replace = diagonal + usize::from(ca != cb);
-            diagonal = row[j + 1];
-            row[j + 1] = replace.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::brdf::{Brdf, is_lit};
 use crate::error::Invalid;
-use crate::models::Model;
+use crate::models::{Model, spelled};
 
 /// Largest f: parameters may be anything, f is finite.
 const MAX_F: f64 = 1e12;
@@ -262,6 +262,10 @@ impl Analytic {
 
 impl Model for Analytic {
     const KIND: &'static str = "analytic";
+
+    fn describe(&self) -> String {
+        format!("Lambert and {}", spelled(&self.parameters.specular.lobe()))
+    }
 
     fn is_isotropic(&self) -> bool {
         true

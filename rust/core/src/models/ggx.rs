@@ -47,6 +47,10 @@ impl Ggx {
 impl Model for Ggx {
     const KIND: &'static str = "ggx";
 
+    fn describe(&self) -> String {
+        "Lambert and GGX with exact Fresnel".to_owned()
+    }
+
     fn is_isotropic(&self) -> bool {
         self.microfacet.is_isotropic()
     }

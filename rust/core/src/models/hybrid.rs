@@ -20,9 +20,9 @@ use crate::kernels::mixed::{self, MixedKernel};
 use crate::kernels::network::{Bias, Network, One, Rows, check_latent};
 use crate::kernels::{Kernel, splat3};
 use crate::microfacet::{Half, Microfacet, Terms};
-use crate::models::Model;
 use crate::models::edit::{self, Albedos, Allowed, Black, Edit, Fitted, KNOTS, Origin, Room, Turn, Views};
 use crate::models::ggx::Ggx;
+use crate::models::{Model, spelled};
 use crate::simd::math::{exp, ln, sigmoid};
 use crate::simd::{Isa, LANES, Lane, Lane3, Lanes, Real, Vector};
 
@@ -366,6 +366,12 @@ impl Hybrid {
 
 impl Model for Hybrid {
     const KIND: &'static str = "hybrid";
+
+    fn describe(&self) -> String {
+        let Form { inputs, analytic_input, composition } = &self.form;
+        let logarithm = if *analytic_input { " and ln f_a" } else { "" };
+        format!("{} inputs{logarithm}, {}", spelled(inputs), spelled(composition))
+    }
 
     fn is_isotropic(&self) -> bool {
         self.form.inputs.is_isotropic() && self.microfacet.is_isotropic()

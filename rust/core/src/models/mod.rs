@@ -10,6 +10,8 @@ pub mod neural;
 pub mod spherical;
 pub mod tabulated;
 
+use serde::Serialize;
+
 use crate::brdf::Brdf;
 use crate::error::{Invalid, Unmixable};
 use crate::kernels::network::Network;
@@ -21,6 +23,9 @@ use crate::simd::{LANES, Lane3};
 pub trait Model: Brdf + Clone {
     /// The model's name as files and commands spell it.
     const KIND: &'static str;
+
+    /// Its form in a few words, for people: what no number of a single material tells.
+    fn describe(&self) -> String;
 
     /// How a material of this model is sampled where nothing else is asked for.
     fn plan(&self) -> Plan {
@@ -82,5 +87,13 @@ pub trait Model: Brdf + Clone {
     /// [`Invalid::Mix`].
     fn mix(&self, _other: &Self, _t: f32) -> Result<Self, Invalid> {
         Err(Unmixable::Model(Self::KIND).into())
+    }
+}
+
+/// A variant as files spell it.
+pub(crate) fn spelled(variant: &impl Serialize) -> String {
+    match serde_json::to_value(variant) {
+        Ok(serde_json::Value::String(name)) => name,
+        other => format!("{other:?}"),
     }
 }

@@ -60,6 +60,10 @@ impl Nbrdf {
 impl Model for Nbrdf {
     const KIND: &'static str = "nbrdf";
 
+    fn describe(&self) -> String {
+        "half and difference vector as inputs".to_owned()
+    }
+
     fn is_isotropic(&self) -> bool {
         true
     }

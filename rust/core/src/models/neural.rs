@@ -188,6 +188,10 @@ impl Neural {
 impl Model for Neural {
     const KIND: &'static str = "neural";
 
+    fn describe(&self) -> String {
+        format!("{FRAMES} learned shading frames")
+    }
+
     fn is_isotropic(&self) -> bool {
         false
     }

@@ -19,6 +19,9 @@ pub trait Table: Brdf + fmt::Debug {
     /// The format's name as commands spell it: `merl`, `rgl` or `utia`.
     fn format(&self) -> &'static str;
 
+    /// How many values it has along which axes, in a few words.
+    fn grid(&self) -> String;
+
     /// What the file says about the material; empty for the formats that say nothing.
     fn description(&self) -> &str {
         ""
@@ -97,6 +100,10 @@ impl Tabulated {
 
 impl Model for Tabulated {
     const KIND: &'static str = "tabulated";
+
+    fn describe(&self) -> String {
+        self.table.grid()
+    }
 
     fn plan(&self) -> Plan {
         self.warp.clone().map_or(Plan::Table(Resolution::DEFAULT), Plan::Warp)

@@ -58,6 +58,14 @@ impl Resolution {
     /// Most cells of all slices: half a gigabyte.
     const MOST_CELLS: usize = 1 << 26;
 
+    /// Bytes of a table that is made like this.
+    #[must_use]
+    pub fn bytes(&self, isotropic: bool) -> usize {
+        let (cells, distributions) = (self.rings + self.rings * self.sectors, 1 + self.rings);
+        let slice = (cells + distributions) * size_of::<f32>() + cells * size_of::<u16>();
+        (self.rings + 1) * size_of::<f32>() + self.slices(isotropic) * slice
+    }
+
     /// Directions of the view.
     fn slices(&self, isotropic: bool) -> usize {
         self.views * if isotropic { 1 } else { self.view_azimuths }
@@ -579,5 +587,6 @@ mod tests {
         let slice = (25 + 24 * 17) * 4 + (24 + 24 * 16) * 2;
         assert_eq!(isotropic.bytes(), 25 * 4 + 12 * slice);
         assert_eq!(anisotropic.bytes(), 25 * 4 + 12 * 8 * slice);
+        assert_eq!([true, false].map(|i| SMALL.bytes(i)), [isotropic.bytes(), anisotropic.bytes()]);
     }
 }

@@ -1,6 +1,8 @@
 //! Work precision in Mitsuba, as plots and as a table at equal time.
 
-use super::plot::{Axes, Curve, Mark, escape, lines};
+use maud::{Markup, html};
+
+use super::plot::{Axes, Curve, Mark, lines};
 use super::{Plot, cell, class_of, file_name, marks, plots_section, truth_mark};
 use crate::study::frames::{Curves, Frame, Frames, equal_seconds, frame_at};
 use crate::study::{MEASUREMENT, Study};
@@ -34,24 +36,29 @@ pub fn plots(study: &Study) -> Vec<Plot> {
 }
 
 /// The section of a page; empty where no frames were asked for.
-pub fn section(study: &Study) -> String {
-    let Some(frames) = &study.frames else { return String::new() };
-    let page = plots_section(
-        study,
-        "Work precision",
-        "Rendered by Mitsuba: the sphere stands on a floor under an even sky and a lamp; the room is closed, its floor and two \
-         spheres have the material, and light is reflected up to five times. The error falls with the noise and \
-         then stays at what the model cannot do. “table” is the same reflectance with a table sampler. \
-         principled is fitted to nothing and stands for time and noise.",
-        &plots(study),
-    );
-    let tables: String =
-        each(frames).map(|(scene, variant, curves)| equal_time(scene, variant, curves)).collect();
-    page + "<section><h2>At equal time</h2><p>Samples a pixel that fit into the time, error and noise after it, \
-            between the frames of the curves above. A dash: the first frame takes longer.</p>\
-            <div class=wide>"
-        + &tables
-        + "</div></section>\n"
+pub fn section(study: &Study) -> Markup {
+    let Some(frames) = &study.frames else { return Markup::default() };
+    html! {
+        (plots_section(
+            study,
+            "Work precision",
+            "Rendered by Mitsuba: the sphere stands on a floor under an even sky and a lamp; the room is closed, its floor and two \
+             spheres have the material, and light is reflected up to five times. The error falls with the noise and \
+             then stays at what the model cannot do. “table” is the same reflectance with a table sampler. \
+             principled is fitted to nothing and stands for time and noise.",
+            &plots(study),
+        ))
+        section {
+            h2 { "At equal time" }
+            p {
+                "Samples a pixel that fit into the time, error and noise after it, between the frames of the curves \
+                 above. A dash: the first frame takes longer."
+            }
+            div.wide {
+                @for (scene, variant, curves) in each(frames) { (equal_time(scene, variant, curves)) }
+            }
+        }
+    }
 }
 
 fn each(frames: &Frames) -> impl Iterator<Item = (&str, &str, &Curves)> {
@@ -81,22 +88,23 @@ fn drawn(study: &Study, curves: &Curves, figure: fn(&Frame) -> f64) -> Vec<Curve
     curves.iter().map(curve).collect()
 }
 
-fn equal_time(scene: &str, variant: &str, curves: &Curves) -> String {
+fn equal_time(scene: &str, variant: &str, curves: &Curves) -> Markup {
     let seconds = equal_seconds(curves);
-    let mut table = format!(
-        "<table><tr><th>{}, {}, {seconds:.2} s<th>samples<th>RMSE to the measurement<th>noise",
-        escape(scene),
-        escape(variant)
-    );
-    for (name, frames) in curves {
-        let frame = frame_at(frames, seconds);
-        table += &format!(
-            "<tr><td>{}<td>{}<td>{}<td>{}",
-            escape(name),
-            cell(frame.map(|frame| frame.spp), 1),
-            cell(frame.map(|frame| frame.rmse), 3),
-            cell(frame.map(|frame| frame.noise), 3)
-        );
+    html! {
+        table {
+            tr {
+                th { (scene) ", " (variant) (format!(", {seconds:.2} s")) }
+                th { "samples" } th { "RMSE to the measurement" } th { "noise" }
+            }
+            @for (name, frames) in curves {
+                @let frame = frame_at(frames, seconds);
+                tr {
+                    td { (name) }
+                    td { (cell(frame.map(|frame| frame.spp), 1)) }
+                    td { (cell(frame.map(|frame| frame.rmse), 3)) }
+                    td { (cell(frame.map(|frame| frame.noise), 3)) }
+                }
+            }
+        }
     }
-    table + "</table>"
 }

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use maud::Render;
+
 use crate::study::pareto::front;
 
 /// Size of a plot, in its own units.
@@ -99,14 +101,9 @@ pub struct Mark {
     pub name: String,
 }
 
-/// Text as HTML or SVG.
-#[must_use]
-pub fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('\'', "&#39;")
-        .replace('"', "&quot;")
+/// Text as SVG, between tags or in double quotes.
+fn escape(text: &str) -> String {
+    text.render().into_string()
 }
 
 fn add(text: &mut String, part: std::fmt::Arguments) {
@@ -117,7 +114,7 @@ fn add(text: &mut String, part: std::fmt::Arguments) {
 fn axes(x: &Scale, y: &Scale, names: [&str; 2]) -> String {
     let [width, height] = SIZE;
     let mut svg = format!(
-        "<svg class=plot viewBox='0 0 {width} {height}' role='img' aria-label='{} against {}'>",
+        "<svg class='plot' viewBox='0 0 {width} {height}' role='img' aria-label=\"{} against {}\">",
         escape(names[1]),
         escape(names[0])
     );
@@ -160,7 +157,7 @@ fn axes(x: &Scale, y: &Scale, names: [&str; 2]) -> String {
             escape(names[1])
         ),
     );
-    svg.replace("class=plot", "class='plot'")
+    svg
 }
 
 fn places() -> [[f64; 2]; 2] {

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::error::Invalid;
-use crate::models::Model;
+use crate::models::{Model, spelled};
 pub use bins::{AZIMUTH_BINS, DIFF_BINS, HALF_BINS, MASKING_KNOTS};
 use lookup::Tables;
 
@@ -188,6 +188,11 @@ impl Factor {
 
 impl Model for Factor {
     const KIND: &'static str = "factor";
+
+    fn describe(&self) -> String {
+        let Form { variant, interpolation } = self.form();
+        format!("{}, {} in {HALF_BINS} × {DIFF_BINS} bins", spelled(&variant), spelled(&interpolation))
+    }
 
     fn is_isotropic(&self) -> bool {
         true

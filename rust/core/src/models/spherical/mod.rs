@@ -25,13 +25,13 @@ use glam::Vec3;
 use crate::error::Invalid;
 use crate::kernels::network::{Network, One, Rows};
 use crate::kernels::{Kernel, splat3};
-use crate::models::Model;
+use crate::models::{Model, spelled};
 use crate::simd::math::exp;
 use crate::simd::{Isa, Lane, Lanes, Real, Vector};
 use look_up::MAX_INPUTS;
 use products::{FirstLayer, Products};
 use store::Store;
-use tables::{Grids, Layout, MAX_TABLES, Taps};
+use tables::{Form, Grids, Layout, MAX_TABLES, Taps};
 
 /// Where f turns from linear to exponential in the network's output.
 pub const OUTPUT_SCALE: f32 = 0.003;
@@ -170,6 +170,19 @@ impl Spherical {
 
 impl Model for Spherical {
     const KIND: &'static str = "spherical";
+
+    fn describe(&self) -> String {
+        let Form { grids, pixelation, nside, nodes, features, interpolation } = self.layout.form();
+        let lists = if grids == Grids::Iso { format!(", {nodes} nodes") } else { String::new() };
+        format!(
+            "grids {}, {} of N_side {}{lists}, {features} features as {}, {}",
+            grids.name(),
+            spelled(&pixelation),
+            nside.nside(),
+            self.features.store.kind(),
+            spelled(&interpolation)
+        )
+    }
 
     fn is_isotropic(&self) -> bool {
         self.layout.form().grids == Grids::Iso

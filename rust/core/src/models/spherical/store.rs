@@ -1,6 +1,7 @@
 //! The numbers that features are kept as, in memory and in a file.
 
 use crate::error::Invalid;
+use std::fmt;
 use std::sync::Arc;
 
 use half::f16;
@@ -20,6 +21,19 @@ pub enum StoreKind {
     I4,
     /// As an index of so many bits, 1 to 12, into a codebook (paper, §3.3).
     Codebook(u8),
+}
+
+/// As commands spell it, and people read it.
+impl fmt::Display for StoreKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            StoreKind::F32 => f.write_str("f32"),
+            StoreKind::F16 => f.write_str("f16"),
+            StoreKind::I8 => f.write_str("i8"),
+            StoreKind::I4 => f.write_str("i4"),
+            StoreKind::Codebook(bits) => write!(f, "{bits}-bit indices into a codebook"),
+        }
+    }
 }
 
 /// Most bits of an index.
