@@ -416,6 +416,7 @@ impl Model for Hybrid {
     }
 }
 
+#[expect(clippy::manual_map, reason = "a closure would not be compiled for the instruction set")]
 impl Kernel for Hybrid {
     #[inline(always)]
     fn eval_lanes<I: Lanes<L>, const L: usize>(
@@ -569,6 +570,7 @@ fn edit_row(edit: &Edit) -> [f32; EDIT_ROW] {
 
 impl<F: Real> OwnEdit<F> {
     #[inline(always)]
+    #[expect(clippy::manual_map, reason = "a closure would not be compiled for the instruction set")]
     fn splat(edit: &Edit, like: F) -> Self {
         let every = like.splat(0.0).lt(like.splat(1.0));
         OwnEdit {
