@@ -1,6 +1,6 @@
 //! What a renderer holds: a model, and a sampler for it.
 //!
-//! Models are listed once, in [`models!`](Kind). [`Kind`], [`AnyModel`], the conversions, and the macros
+//! Models are listed once, in [`crate::models`]. [`Kind`], [`AnyModel`], the conversions, and the macros
 //! `with_model!` and `with_kind!` are made from the list. What is particular to a model is a `match` over [`Kind`]
 //! without a wildcard, here and in other crates, so that a model which is missing somewhere does not compile.
 
@@ -14,7 +14,7 @@ use crate::brdf::{Brdf, Sample, SampleBrdf};
 use crate::error::{Invalid, Unmixable};
 use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
-use crate::models::Model;
+use crate::models::{Model, for_models};
 use crate::oddity::Oddity;
 use crate::sampling::{Plan, Sampler, SamplerChoice};
 use crate::simd::{LANES, Lane3};
@@ -82,14 +82,16 @@ macro_rules! models {
         )+
 
         /// `$body` with `$model` bound to the [`Model`] that `$any` is.
+        #[macro_export]
         macro_rules! with_model {
             ($d any:expr, $d model:pat => $d body:expr) => {
                 match $d any {$($crate::material::AnyModel::$model($d model) => $d body,)+}
             };
         }
-        pub(crate) use with_model;
+        pub use with_model;
 
         /// `$body` with `$Type` standing for the [`Model`] of `$kind`.
+        #[macro_export]
         macro_rules! with_kind {
             ($d kind:expr, $d Type:ident => $d body:expr) => {
                 match $d kind {$(
@@ -100,20 +102,11 @@ macro_rules! models {
                 )+}
             };
         }
-        pub(crate) use with_kind;
+        pub use with_kind;
     };
 }
 
-models! {$
-    ggx::Ggx,
-    hybrid::Hybrid,
-    neural::Neural,
-    nbrdf::Nbrdf,
-    factor::Factor,
-    tabulated::Tabulated,
-    analytic::Analytic,
-    spherical::Spherical,
-}
+for_models!(models $);
 
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {

@@ -6,19 +6,11 @@ mod measurements;
 mod pairs;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use glimt_core::kernels::network::{Layer, Network};
 use glimt_core::library::{Entry, Origin};
-use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
-use glimt_core::models::factor::{self, Interpolation, Variant};
-use glimt_core::models::ggx::Ggx;
-use glimt_core::models::hybrid::{self, Hybrid};
-use glimt_core::models::nbrdf::{self, Nbrdf};
-use glimt_core::models::neural::{self, Neural, Shared};
 use glimt_core::sampling::SamplerChoice;
-use glimt_core::{AnyModel, Invalid, Kind, Library, Material};
+use glimt_core::{Kind, Library, Material, Model, with_kind, with_model};
 
 pub use pairs::families;
 
@@ -103,23 +95,31 @@ pub struct Part {
     pub budget: f64,
 }
 
+/// What the catalogue knows of a model.
+pub(crate) trait Extreme: Model {
+    /// Largest [`blame`](crate::accuracy::Comparison::blame) that it is allowed.
+    const BUDGET: f64;
+
+    /// Its extreme materials, the least extreme of which is the first.
+    fn cases() -> Vec<Case>;
+
+    /// f of a pair above the horizon by the model's float64 reference, if it has one that holds for every pair.
+    fn reference(&self, _light: DVec3, _view: DVec3) -> Option<[f64; 3]> {
+        None
+    }
+
+    /// The material with each of its numbers put through `nudge`, which moves them by an ULP; `None` for
+    /// a model whose numbers do not enter sums.
+    fn nudged(&self, _nudge: &mut dyn FnMut(f32) -> f32) -> Option<Self> {
+        None
+    }
+}
+
 impl Part {
     /// What there is of `kind`.
     #[must_use]
     pub fn of(kind: Kind) -> Part {
-        let (cases, budget): (fn() -> Vec<Case>, f64) = match kind {
-            Kind::Ggx => (materials::ggx, 4.0),
-            Kind::Hybrid => (materials::hybrid, 8.0),
-            Kind::Neural => (materials::neural, 4.0),
-            Kind::Nbrdf => (materials::nbrdf, 4.0),
-            // A place among 90 bins takes 6 of a float's 24 bits.
-            Kind::Factor => (materials::factor, 32.0),
-            // These have no reference, see [`reference`].
-            Kind::Analytic => (materials::analytic, 0.0),
-            Kind::Spherical => (materials::spherical, 0.0),
-            Kind::Tabulated => (measurements::cases, 0.0),
-        };
-        Part { kind, cases, budget }
+        with_kind!(kind, Of => Part { kind, cases: <Of as Extreme>::cases, budget: <Of as Extreme>::BUDGET })
     }
 }
 
@@ -138,72 +138,17 @@ pub fn materials_of_every_kind() -> Vec<Case> {
     parts().iter().map(|part| (part.cases)().swap_remove(0)).collect()
 }
 
-/// f of a pair above the horizon by the model's float64 reference; `None` for kinds that have
-/// none, and tables that are constant in each bin, whose error at an edge is that of the bin.
+/// f of a pair above the horizon by the model's float64 reference, if it has one that holds for every pair.
 #[must_use]
 pub fn reference(material: &Material, light: DVec3, view: DVec3) -> Option<[f64; 3]> {
-    let f = match material.model() {
-        AnyModel::Ggx(m) => microfacet::reference::eval(m.microfacet(), light.into(), view.into()),
-        AnyModel::Hybrid(m) => hybrid::reference::eval(m, light, view),
-        AnyModel::Neural(m) => neural::reference::eval(m, light, view),
-        AnyModel::Nbrdf(m) => nbrdf::reference::eval(m, light, view),
-        AnyModel::Factor(m) => {
-            let form = m.form();
-            if form.variant == Variant::Naive || form.interpolation == Interpolation::Nearest {
-                return None;
-            }
-            factor::reference::eval(m, light, view)
-        }
-        // The pixel of a direction is found in float32. Beside an edge, where catalogues look, the reference may be
-        // in the next one, where f is as good but not the same; away from edges the model's own tests compare them.
-        AnyModel::Spherical(_) => return None,
-        // A measurement is the table that it is, and these are evaluated in float64 themselves.
-        AnyModel::Tabulated(_) | AnyModel::Analytic(_) => return None,
-    };
-    Some(f)
+    with_model!(material.model(), model => Extreme::reference(model, light, view))
 }
 
 /// The material with each of its numbers put through `nudge`, which moves them by an ULP; `None` for
 /// a model whose numbers do not enter sums.
 #[must_use]
 pub fn nudged(material: &Material, nudge: &mut dyn FnMut(f32) -> f32) -> Option<Material> {
-    let nudged_microfacet = |m: &Microfacet, nudge: &mut dyn FnMut(f32) -> f32| Microfacet {
-        kd: m.kd.map(&mut *nudge).map(|kd| kd.clamp(0.0, 1.0)),
-        eta: m.eta.map(&mut *nudge).map(|eta| eta.clamp(ETA_RANGE[0], ETA_RANGE[1])),
-        alpha: m.alpha.map(&mut *nudge).map(|alpha| alpha.clamp(MIN_ALPHA, 1.0)),
-    };
-    let nudged: Result<Material, Invalid> = match material.model() {
-        AnyModel::Ggx(m) => Ggx::new(nudged_microfacet(m.microfacet(), nudge)).map(Material::from),
-        AnyModel::Hybrid(m) => {
-            let network = Arc::new(nudged_network(m.network(), nudge));
-            let microfacet = nudged_microfacet(m.microfacet(), nudge);
-            let latent = m.latent().iter().map(|&z| nudge(z)).collect();
-            Hybrid::new(m.form(), network, microfacet, latent, m.bound()).map(Material::from)
-        }
-        AnyModel::Neural(m) => {
-            let network = nudged_network(&m.shared().network, nudge);
-            let shared = Shared { network, frames: nudged_layer(&m.shared().frames, nudge) };
-            let latent = m.latent().iter().map(|&z| nudge(z)).collect();
-            Neural::new(Arc::new(shared), latent, m.bound()).map(Material::from)
-        }
-        AnyModel::Nbrdf(m) => Nbrdf::new(Arc::new(nudged_network(m.network(), nudge))).map(Material::from),
-        AnyModel::Factor(_) | AnyModel::Analytic(_) | AnyModel::Tabulated(_) | AnyModel::Spherical(_) => {
-            return None;
-        }
-    };
-    Some(nudged.expect("numbers stay in their ranges"))
-}
-
-/// A network with every weight and bias put through `nudge`.
-fn nudged_network(network: &Network, nudge: &mut dyn FnMut(f32) -> f32) -> Network {
-    let layers = network.layers().iter().map(|layer| nudged_layer(layer, nudge)).collect();
-    Network::new(layers, network.features(), network.activation()).expect("the shape is that of a network")
-}
-
-/// [`nudged_network`] for one layer.
-fn nudged_layer(layer: &Layer, nudge: &mut dyn FnMut(f32) -> f32) -> Layer {
-    let mut nudge = |values: &[f32]| values.iter().map(|&x| nudge(x)).collect();
-    Layer { weight: nudge(&layer.weight), bias: nudge(&layer.bias) }
+    with_model!(material.model(), model => Extreme::nudged(model, nudge).map(Material::from))
 }
 
 /// Writes every material of the catalogue to `directory` as a file of its own, see [`Case::save`].

@@ -7,8 +7,12 @@ use serde_json::Value;
 
 use super::container::{Latents, Rows, Tensor, Tensors};
 use crate::kernels::network::{Activation, Network};
+#[cfg(test)]
+use crate::kernels::network::{Layer, tests::patterned_from};
 use crate::microfacet::Microfacet;
 use crate::models::Model;
+#[cfg(test)]
+use crate::models::analytic::tests::specimens;
 use crate::models::analytic::{Analytic, Lobe, Parameters, Specular};
 use crate::models::edit::{Fitted, KNOTS, Origin};
 use crate::models::ggx::Ggx;
@@ -33,6 +37,11 @@ pub(crate) trait Codec: Model {
     /// What reads the materials of a file, whose shared parts it has read and checked.
     fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String>;
 
+    /// Pairs of materials that can stand in one library, as many as there are ways to lie in a file; their networks,
+    /// where they have one, with this activation.
+    #[cfg(test)]
+    fn specimens(activation: Activation) -> Vec<[Self; 2]>;
+
     /// Whether two materials can stand in one library, beyond having the same form and network sizes.
     fn check_together(&self, _: &Self) -> Result<(), String> {
         Ok(())
@@ -50,6 +59,13 @@ impl Codec for Ggx {
     fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         let microfacets = file.microfacets("")?;
         Ok(Box::new(move |i| Ok(Ggx::new(microfacets.at(i)?)?)))
+    }
+
+    #[cfg(test)]
+    fn specimens(_: Activation) -> Vec<[Self; 2]> {
+        let ggx =
+            |alpha| Ggx::new(Microfacet { alpha, ..tests::PARAMETERS }).expect("numbers in their ranges");
+        vec![[ggx([0.1; 2]), ggx([0.1, 0.3])]]
     }
 }
 
@@ -90,6 +106,16 @@ impl Codec for Hybrid {
             let base = Hybrid::new(form, network, origin, fitted.latent.clone(), bound)?;
             Ok(base.edited(origin, fitted, microfacet, latent)?)
         }))
+    }
+
+    #[cfg(test)]
+    fn specimens(activation: Activation) -> Vec<[Self; 2]> {
+        let network = |seed| Arc::new(patterned_from(seed, &[10, 16, 16, 6], 6, activation));
+        let (shared, other) = (network(1), network(5));
+        vec![
+            [tests::hybrid(&shared, [0.2; 2], 0.1), tests::hybrid(&shared, [0.3; 2], -0.4)],
+            [tests::hybrid(&shared, [0.2, 0.4], 0.1), tests::hybrid(&other, [0.3; 2], 0.2)],
+        ]
     }
 }
 
@@ -138,6 +164,16 @@ impl Codec for Neural {
             Err("have different networks, and a neural library has one".into())
         }
     }
+
+    #[cfg(test)]
+    fn specimens(activation: Activation) -> Vec<[Self; 2]> {
+        let shared = Arc::new(Shared {
+            network: patterned_from(1, &[30, 16, 3], neural::FEATURES, activation),
+            frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
+        });
+        let neural = |z, bound| Neural::new(shared.clone(), vec![z; 12], bound).expect("parts that fit");
+        vec![[neural(0.1, 1.0), neural(-0.2, 2.0)]]
+    }
 }
 
 impl Codec for Nbrdf {
@@ -149,6 +185,12 @@ impl Codec for Nbrdf {
     fn decoder(file: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         let networks = file.networks(nbrdf::FEATURES, Activation::Relu)?;
         Ok(Box::new(move |i| Ok(Nbrdf::new(networks.of_material(i)?)?)))
+    }
+
+    #[cfg(test)]
+    fn specimens(activation: Activation) -> Vec<[Self; 2]> {
+        let network = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, activation));
+        vec![[1, 2].map(|seed| Nbrdf::new(network(seed)).expect("the sizes of its network"))]
     }
 }
 
@@ -162,6 +204,11 @@ impl Codec for Tabulated {
 
     fn decoder(_: &Tensors, _: Option<&Value>) -> Result<Decoder<Self>, String> {
         Err("a library cannot hold measured tables".into())
+    }
+
+    #[cfg(test)]
+    fn specimens(_: Activation) -> Vec<[Self; 2]> {
+        Vec::new()
     }
 }
 
@@ -191,6 +238,15 @@ impl Codec for Analytic {
             let specular = Specular::from_numbers(lobe, &numbers)?;
             Ok(Analytic::new(Parameters { diffuse: diffuse.array(i)?.map(f64::from), specular })?)
         }))
+    }
+
+    #[cfg(test)]
+    fn specimens(_: Activation) -> Vec<[Self; 2]> {
+        let pair = |parameters: Parameters| {
+            let other = Parameters { diffuse: [0.5; 3], ..parameters.clone() };
+            [parameters, other].map(|p| Analytic::new(p).expect("numbers in their ranges"))
+        };
+        specimens().map(pair).into()
     }
 }
 
@@ -316,4 +372,21 @@ fn layers_tensors(networks: &[&Network], own: bool) -> Vec<Tensor> {
         tensors.push(tensor(format!("network.{i}.bias"), &[outputs], &bias));
     }
     tensors
+}
+
+/// Numbers that specimens have in common.
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::directions::features::Inputs;
+
+    pub const PARAMETERS: Microfacet =
+        Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
+
+    /// A hybrid material with a network of six features and four numbers in its code.
+    pub fn hybrid(network: &Arc<Network>, alpha: [f32; 2], z: f32) -> Hybrid {
+        let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
+        let microfacet = Microfacet { alpha, ..PARAMETERS };
+        Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).expect("parts that fit")
+    }
 }

@@ -4,9 +4,13 @@ use serde_json::Value;
 
 use super::codec::{Codec, Decoder};
 use super::container::{Rows, Tensor, Tensors};
+#[cfg(test)]
+use crate::kernels::network::Activation;
 use crate::models::factor::{
     AZIMUTH_BINS, Curve, DIFF_BINS, Factor, Factors, Form, HALF_BINS, MASKING_KNOTS, Product, Variant,
 };
+#[cfg(test)]
+use crate::models::factor::{Interpolation, tests::patterned_factors};
 
 impl Codec for Factor {
     fn form(&self) -> Option<Value> {
@@ -76,6 +80,13 @@ impl Codec for Factor {
             }
         };
         Ok(Box::new(move |i| Ok(Factor::new(factors(i)?, form.interpolation)?)))
+    }
+
+    #[cfg(test)]
+    fn specimens(_: Activation) -> Vec<[Self; 2]> {
+        let factor =
+            |factors: Factors| Factor::new(factors, Interpolation::Nearest).expect("numbers in their ranges");
+        patterned_factors().map(|factors| [factor(factors.clone()), factor(factors)]).into()
     }
 }
 

@@ -562,26 +562,18 @@ fn names_of_stored_kinds() -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::codec::tests::PARAMETERS;
     use super::*;
     use crate::brdf::Brdf;
     use crate::directions::features::Inputs;
-    use crate::kernels::network::Layer;
-    use crate::kernels::network::tests::{patterned, patterned_from};
+    use crate::kernels::network::tests::patterned;
     use crate::microfacet::Microfacet;
-    use crate::models::analytic::{Analytic, Parameters, tests::specimens};
-    use crate::models::factor::{Factor, Factors, Interpolation, tests::patterned_factors};
-    use crate::models::ggx::Ggx;
     use crate::models::hybrid::{Form, Hybrid};
-    use crate::models::nbrdf::Nbrdf;
-    use crate::models::neural::{self, Neural, Shared};
-    use crate::models::spherical::{store::StoreKind, tables::Grids, tests as spherical};
     use glam::Vec3;
     use proptest::prelude::*;
     use std::io::{Read, Seek, SeekFrom};
     use std::sync::LazyLock;
     use std::sync::atomic::{AtomicUsize, Ordering};
-
-    const PARAMETERS: Microfacet = Microfacet { kd: [0.3, 0.2, 0.1], eta: [1.5, 1.8, 2.5], alpha: [0.2; 2] };
 
     fn entry(name: &str, material: Material) -> Entry {
         let origin = Origin { source: format!("{name}.bsdf"), seed: Some(7), ..Origin::default() };
@@ -589,9 +581,7 @@ mod tests {
     }
 
     fn hybrid(network: &Arc<Network>, alpha: [f32; 2], z: f32) -> Material {
-        let form = Form { inputs: Inputs::Isotropic, ..Form::PAPER };
-        let microfacet = Microfacet { alpha, ..PARAMETERS };
-        Material::from(Hybrid::new(form, network.clone(), microfacet, vec![z; 4], 1.5).unwrap())
+        codec::tests::hybrid(network, alpha, z).into()
     }
 
     fn two(a: Material, b: Material) -> Vec<Entry> {
@@ -601,58 +591,10 @@ mod tests {
     /// Libraries of two materials of a model, as many as there are ways to lie in a file; their networks, where they
     /// have one, with this activation.
     fn libraries_of(kind: Kind, activation: Activation) -> Vec<Vec<Entry>> {
-        match kind {
-            Kind::Ggx => {
-                let ggx = |alpha| Material::from(Ggx::new(Microfacet { alpha, ..PARAMETERS }).unwrap());
-                vec![two(ggx([0.1; 2]), ggx([0.1, 0.3]))]
-            }
-            Kind::Hybrid => {
-                let network = |seed| Arc::new(patterned_from(seed, &[10, 16, 16, 6], 6, activation));
-                let (shared, other) = (network(1), network(5));
-                vec![
-                    two(hybrid(&shared, [0.2; 2], 0.1), hybrid(&shared, [0.3; 2], -0.4)),
-                    two(hybrid(&shared, [0.2, 0.4], 0.1), hybrid(&other, [0.3; 2], 0.2)),
-                ]
-            }
-            Kind::Neural => {
-                let shared = Arc::new(Shared {
-                    network: patterned(&[30, 16, 3], neural::FEATURES, activation),
-                    frames: Layer { weight: vec![0.1; 18 * 12], bias: vec![0.2; 18] },
-                });
-                let neural = |z, bound| Neural::new(shared.clone(), vec![z; 12], bound).unwrap().into();
-                vec![two(neural(0.1, 1.0), neural(-0.2, 2.0))]
-            }
-            Kind::Nbrdf => {
-                let network = |seed| Arc::new(patterned_from(seed, &[6, 21, 21, 3], 6, activation));
-                let nbrdf = |seed| Nbrdf::new(network(seed)).unwrap().into();
-                vec![two(nbrdf(1), nbrdf(2))]
-            }
-            Kind::Factor => {
-                let library = |factors: Factors| {
-                    let factor = || Factor::new(factors.clone(), Interpolation::Nearest).unwrap().into();
-                    two(factor(), factor())
-                };
-                patterned_factors().map(library).into()
-            }
-            // A library cannot hold them.
-            Kind::Tabulated => Vec::new(),
-            Kind::Analytic => {
-                let library = |parameters: Parameters| {
-                    let other = Parameters { diffuse: [0.5; 3], ..parameters.clone() };
-                    let [a, b] = [parameters, other].map(|p| Analytic::new(p).unwrap().into());
-                    two(a, b)
-                };
-                specimens().map(library).into()
-            }
-            Kind::Spherical => {
-                let library = |store| {
-                    let one = spherical::material_with(spherical::form(Grids::Iso), store, activation);
-                    let other = spherical::material_with(spherical::form(Grids::Iso), store, activation);
-                    two(one.into(), other.into())
-                };
-                vec![library(StoreKind::F32), library(StoreKind::Codebook(5))]
-            }
+        fn libraries<M: Codec + Into<Material>>(activation: Activation) -> Vec<Vec<Entry>> {
+            M::specimens(activation).into_iter().map(|[a, b]| two(a.into(), b.into())).collect()
         }
+        with_kind!(kind, Stored => libraries::<Stored>(activation))
     }
 
     /// Libraries of every model.

@@ -26,7 +26,11 @@ use super::codec::{Codec, Decoder};
 use super::container::{Networks, Rows, Tensor, Tensors};
 use crate::kernels::network::{Activation, Layer};
 use crate::models::spherical::store::{Codebook, Store, StoreKind, pack, unpack};
+#[cfg(test)]
+use crate::models::spherical::tables::Grids;
 use crate::models::spherical::tables::{Form, Layout};
+#[cfg(test)]
+use crate::models::spherical::tests::{form, material_with};
 use crate::models::spherical::{Features, Spherical};
 
 /// What the metadata says.
@@ -148,6 +152,12 @@ impl Codec for Spherical {
             return Err("share a network but not its codebook".into());
         }
         Ok(())
+    }
+
+    #[cfg(test)]
+    fn specimens(activation: Activation) -> Vec<[Self; 2]> {
+        let material = |store| material_with(form(Grids::Iso), store, activation);
+        [StoreKind::F32, StoreKind::Codebook(5)].map(|store| [material(store), material(store)]).into()
     }
 }
 
@@ -331,8 +341,7 @@ fn codebooks(file: &Tensors, count: usize, size: usize, k: usize) -> Result<Vec<
 mod tests {
     use super::*;
     use crate::library::{Entry, Library, Origin};
-    use crate::models::spherical::tables::Grids;
-    use crate::models::spherical::tests::{form, material};
+    use crate::models::spherical::tests::material;
     use crate::{Brdf, Material, Vec3};
 
     const KINDS: [StoreKind; 5] =

@@ -19,6 +19,24 @@ use crate::microfacet::Microfacet;
 use crate::sampling::Plan;
 use crate::simd::{LANES, Lane3};
 
+/// The one list of models: hands the module and the type of each to the macro `$make`. `$d` is a dollar sign, for
+/// macros that are made.
+macro_rules! for_models {
+    ($make:ident $d:tt) => {
+        $make! {$d
+            ggx::Ggx,
+            hybrid::Hybrid,
+            neural::Neural,
+            nbrdf::Nbrdf,
+            factor::Factor,
+            tabulated::Tabulated,
+            analytic::Analytic,
+            spherical::Spherical,
+        }
+    };
+}
+pub(crate) use for_models;
+
 /// A model of reflectance: one file of this crate each, listed in [`crate::material`].
 pub trait Model: Brdf + Clone {
     /// The model's name as files and commands spell it.
