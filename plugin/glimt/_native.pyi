@@ -30,8 +30,7 @@ class Library:
         """Names of the materials in the file's order."""
     @property
     def kind(self) -> str:
-        """Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "factor", "analytic", "spherical",
-        "merl", "rgl" or "utia"."""
+        """Model ("hybrid") or measured format ("merl"), as commands spell it."""
     @property
     def path(self) -> PathLike[str]:
         """The file that it was read from."""

@@ -72,12 +72,10 @@ Compact fit of a measured material (:monosp:`glimt`)
    - The code by which the shared network tells the materials of a library apart.
    - |exposed|, |differentiable|
 
-This plugin evaluates a reflectance that was fitted to a measured material: the analytic model
-``ggx``, a hybrid of the same with a small neural network (``hybrid``, De Oliveira et al., *A Hybrid
-Neural-Microfacet BRDF Model*), a network alone (``neural``), one of the networks of Sztrajman et
-al. 2021 (``nbrdf``), features in tables on hemispheres and a network (``spherical``, Dou et al.), the tables of
-Bagher et al. 2016 (``factor``), or a published analytic model (``analytic``: Cook and Torrance, Ward, Ashikhmin and
-Shirley, Löw, Bagher). It also evaluates measurements as they are (``tabulated``). Only ``ggx`` and ``hybrid`` have
+This plugin evaluates a reflectance that was fitted to a measured material, by any of the models of
+``docs/guide/models.md``: an analytic model (``ggx``), the same with a small neural network (``hybrid``, De Oliveira
+et al., *A Hybrid Neural-Microfacet BRDF Model*), a network alone, tables, published fits. It also evaluates
+measurements as they are. Only ``ggx`` and ``hybrid`` have
 an analytic part; the edits are an error for the others.
 
 The material is one-sided; the ``twosided`` plugin makes it two-sided. It has one component, of type

@@ -156,7 +156,7 @@ public:
     /// Number of materials.
     std::size_t size() const noexcept { return glimt_library_size(library_.get()); }
 
-    /// "ggx", "hybrid", "neural", "nbrdf", "factor", "analytic", "spherical" or "tabulated".
+    /// The model as files and commands spell it, as glimt_library_kind().
     std::string kind() const { return glimt_library_kind(library_.get()); }
 
     /// Names of the materials in the file's order.

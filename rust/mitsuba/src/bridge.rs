@@ -155,14 +155,14 @@ mod ffi {
     }
 }
 
-/// Which form of `traced.h` a model has.
+/// Which form of `traced.h` a model has. A model that is not named has none: the core evaluates it.
 const fn traced_kind(kind: Kind) -> ffi::Kind {
     match kind {
         Kind::Ggx => ffi::Kind::Ggx,
         Kind::Hybrid => ffi::Kind::Hybrid,
         Kind::Neural => ffi::Kind::Neural,
         Kind::Nbrdf => ffi::Kind::Nbrdf,
-        Kind::Factor | Kind::Tabulated | Kind::Analytic | Kind::Spherical => ffi::Kind::Untraced,
+        _ => ffi::Kind::Untraced,
     }
 }
 

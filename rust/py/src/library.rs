@@ -39,7 +39,7 @@ impl Library {
         self.source.names()
     }
 
-    /// Model or measured format: "ggx", "hybrid", "neural", "nbrdf", "factor", "analytic", "spherical", "merl", "rgl" or "utia".
+    /// Model ("hybrid") or measured format ("merl"), as commands spell it.
     #[getter]
     fn kind(&self) -> &'static str {
         self.source.kind()
