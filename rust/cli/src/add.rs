@@ -75,5 +75,5 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let entries = library.entries()?.into_iter().cloned().chain(added.iter().cloned());
     let library = Library::new(path, entries.collect())?;
     library.save()?;
-    fitting::print_errors(&library, &added, &arguments.json)
+    fitting::print_errors(&library, &added.iter().collect::<Vec<_>>(), &arguments.json)
 }

@@ -263,7 +263,7 @@ const COLUMNS: [(&str, &str, usize); 10] = [
 ///
 /// # Errors
 /// Of the standard output, or the file cannot be written.
-pub fn print_errors(library: &Library, entries: &[Entry], json: &JsonErrors) -> Result<()> {
+pub fn print_errors(library: &Library, entries: &[&Entry], json: &JsonErrors) -> Result<()> {
     if !json.is_printed() {
         output::print(&table(entries))?;
     }
@@ -274,14 +274,14 @@ pub fn print_errors(library: &Library, entries: &[Entry], json: &JsonErrors) -> 
 ///
 /// # Errors
 /// As [`print_errors`].
-pub fn give_json(library: &Library, entries: &[Entry], json: &JsonErrors) -> Result<()> {
+pub fn give_json(library: &Library, entries: &[&Entry], json: &JsonErrors) -> Result<()> {
     if json.is_printed() {
         return output::print_raw(&errors_json(library, entries)?);
     }
     json.file().map_or(Ok(()), |file| output::write(file, errors_json(library, entries)?.as_bytes()))
 }
 
-fn table(entries: &[Entry]) -> String {
+fn table(entries: &[&Entry]) -> String {
     let columns: Vec<_> = COLUMNS.into_iter().filter(|(key, ..)| mean(entries, key).is_some()).collect();
     let width = entries.iter().map(|entry| printable(&entry.name).chars().count()).max().unwrap_or(0).max(8);
     let row = |name: &str, cell: &dyn Fn(&str, &str, usize) -> String| {
@@ -305,16 +305,16 @@ fn table(entries: &[Entry]) -> String {
 }
 
 /// The mean of a metric, if all of the materials have it.
-fn mean(entries: &[Entry], key: &str) -> Option<f64> {
+fn mean(entries: &[&Entry], key: &str) -> Option<f64> {
     let values: Option<Vec<f64>> = entries.iter().map(|e| e.origin.metrics.get(key).copied()).collect();
     values.map(|values| values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// What docs/guide/scripts.md says of `--json`.
-fn errors_json(library: &Library, entries: &[Entry]) -> Result<String> {
+fn errors_json(library: &Library, entries: &[&Entry]) -> Result<String> {
     let mut materials = serde_json::Map::new();
     for entry in entries {
-        let (own, _) = Library::new(library.path(), vec![entry.clone()])?.tensor_bytes()?;
+        let (own, _) = Library::new(library.path(), vec![Entry::clone(entry)])?.tensor_bytes()?;
         let mut material = json!(entry.origin.metrics);
         material["bytes"] = json!(own);
         materials.insert(entry.name.clone(), material);

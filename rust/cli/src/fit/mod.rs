@@ -210,16 +210,16 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     fitting::warn(&doubts_of(&entries));
     fitting::measure(&mut entries, &job.inputs, &held);
     truths.check_running()?;
-    let mut library = Library::new(&common.output, entries.clone())?;
+    let mut library = Library::new(&common.output, entries)?;
     if let Some(recipe) = &recipe {
-        library = recipe.stamp(library);
+        library = recipe.stamp(library)?;
     }
     library.save()?;
     job.keeper.forget(chosen.resumes());
     if !common.json.is_printed() {
         output::print(&notes)?;
     }
-    fitting::print_errors(&library, &entries, &common.json)
+    fitting::print_errors(&library, &library.entries()?, &common.json)
 }
 
 /// Says that there is nothing to do, and gives the errors to a program that asks for them.
@@ -230,8 +230,7 @@ fn skip(common: &Common, library: &Library) -> Result<()> {
     } else {
         output::print(&format!("{line}\n"))?;
     }
-    let entries: Vec<Entry> = library.entries()?.into_iter().cloned().collect();
-    fitting::give_json(library, &entries, &common.json)
+    fitting::give_json(library, &library.entries()?, &common.json)
 }
 
 /// Where an interrupted fit of this library is kept.

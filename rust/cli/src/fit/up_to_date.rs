@@ -39,21 +39,24 @@ impl Recipe {
 
     /// The library, with a digest of this recipe and of all that the library holds: what was changed in the
     /// meantime, damaged or merged is told from what was fitted.
-    pub fn stamp(&self, library: Library) -> Library {
+    ///
+    /// # Errors
+    /// Those of the library.
+    pub fn stamp(&self, library: Library) -> Result<Library> {
         let library = library.with_digest(None);
-        let digest = self.digest(&library);
-        library.with_digest(Some(digest))
+        let digest = self.digest(&library)?;
+        Ok(library.with_digest(Some(digest)))
     }
 
     /// The library at `path` if it follows from this recipe and is as it was written.
     pub fn find(&self, path: &Path) -> Option<Library> {
         let library = Library::open(path).ok()?;
-        let found = library.digest()?.to_owned();
-        (self.digest(&library.clone().with_digest(None)) == found).then_some(library)
+        let expected = self.digest(&library.clone().with_digest(None)).ok()?;
+        (library.digest() == Some(&expected)).then_some(library)
     }
 
-    fn digest(&self, bare: &Library) -> String {
-        let bytes = bare.to_bytes().ok().flatten().unwrap_or_default();
-        sha256_of(&[self.0.as_bytes(), &bytes].concat())
+    fn digest(&self, bare: &Library) -> Result<String> {
+        let bytes = bare.to_bytes()?.unwrap_or_default();
+        Ok(sha256_of(&[self.0.as_bytes(), &bytes].concat()))
     }
 }
