@@ -45,7 +45,7 @@ size_t glimt_image_height(const struct glimt_image *image);
 const float *glimt_image_pixels(const struct glimt_image *image);
 
 /**
- * Releases an image; NULL is let pass.
+ * Releases an image; NULL is ignored.
  */
 void glimt_image_release(struct glimt_image *image);
 
