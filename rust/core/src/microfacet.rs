@@ -27,7 +27,7 @@ pub const ETA_RANGE: [f32; 2] = [1.0, 10.0];
 /// assert!(r > g && g > b);
 ///
 /// let mirror = Microfacet { alpha: [0.0; 2], ..gold };
-/// assert_eq!(mirror.validate().unwrap_err(), "alpha is 0, expected a value in [0.0001, 1]");
+/// assert_eq!(mirror.validate().unwrap_err().to_string(), "alpha is 0, expected a value in [0.0001, 1]");
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Microfacet<F = f32> {

@@ -51,8 +51,13 @@ impl Tensor {
 
 /// Where the bytes of a file are.
 pub(crate) enum Content {
-    /// All of them.
-    Memory(Vec<u8>),
+    /// In memory, from byte `first` of the file on.
+    Memory {
+        /// Place of the first one.
+        first: usize,
+        /// All from there on.
+        bytes: Vec<u8>,
+    },
     /// In a file that is open.
     File(Mutex<Box<dyn Stream>>),
 }
@@ -67,7 +72,10 @@ impl Content {
     fn read(&self, places: Range<usize>) -> Result<Vec<u8>, String> {
         const CUT_OFF: &str = "it was cut off while it was open";
         match self {
-            Content::Memory(bytes) => Ok(bytes.get(places).ok_or(CUT_OFF)?.to_vec()),
+            Content::Memory { first, bytes } => {
+                let part = places.start.checked_sub(*first).zip(places.end.checked_sub(*first));
+                Ok(part.and_then(|(start, end)| bytes.get(start..end)).ok_or(CUT_OFF)?.to_vec())
+            }
             Content::File(stream) => {
                 // A read that panicked left nothing behind: every read says where it begins.
                 let mut stream = stream.lock().unwrap_or_else(PoisonError::into_inner);
@@ -82,11 +90,24 @@ impl Content {
     }
 }
 
+/// Bytes of tensors that are read at once: less than what reading them by parts costs.
+const SMALL: usize = 1 << 16;
+
 /// Bytes before the header, which say how long it is.
 const LENGTH: usize = size_of::<u64>();
 
 /// Longest header that is read: that of a million materials.
 const MAX_HEADER: usize = 1 << 28;
+
+impl Content {
+    /// The same bytes from `start` on, in memory if they are few.
+    pub fn at_hand(self, start: usize, size: usize) -> Result<Content, String> {
+        if size - start > SMALL {
+            return Ok(self);
+        }
+        Ok(Content::Memory { first: start, bytes: self.read(start..size)? })
+    }
+}
 
 /// The header of a file of `size` bytes, and where the tensors begin.
 pub(crate) fn read_header(content: &Content, size: usize) -> Result<(Metadata, usize), String> {

@@ -22,6 +22,7 @@
 //!
 //! What a spherical library holds says [`spherical`].
 
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -31,6 +32,7 @@ use glimt_disk::write_whole;
 use safetensors::tensor::TensorView;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use serde_json::value::RawValue;
 
 use crate::error::Error;
 use crate::kernels::network::{Activation, Network};
@@ -92,7 +94,7 @@ pub struct Origin {
 
 /// The JSON object in the file's metadata.
 #[derive(Serialize, Deserialize)]
-struct Header {
+struct Header<M> {
     format: u32,
     kind: String,
     color_space: String,
@@ -104,14 +106,21 @@ struct Header {
     /// [`Library::digest`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     digest: Option<String>,
-    materials: Vec<MaterialHeader>,
+    materials: Vec<M>,
 }
 
-#[derive(Clone, Serialize, Deserialize)]
+#[derive(Serialize, Deserialize)]
 struct MaterialHeader {
     name: String,
     #[serde(flatten)]
     origin: Origin,
+}
+
+/// What is read of a [`MaterialHeader`] until the material is asked for.
+#[derive(Deserialize)]
+struct Named<'a> {
+    #[serde(borrow)]
+    name: Cow<'a, str>,
 }
 
 /// The name of what [`Library::mix`] makes.
@@ -157,7 +166,7 @@ pub struct Library {
     file: Option<Arc<Decoder<Entry>>>,
 }
 
-/// Bytes of tensors up to which a file is read at once.
+/// Bytes up to which a file is read and checked at once.
 const SMALL_BYTES: usize = 1 << 16;
 
 impl fmt::Debug for Library {
@@ -210,16 +219,17 @@ impl Library {
     /// # Errors
     /// [`Error::Format`] with what was found and what was expected.
     pub fn from_bytes(path: impl Into<PathBuf>, bytes: &[u8]) -> Result<Self, Error> {
-        Library::from_content(path.into(), Content::Memory(bytes.to_vec()), bytes.len())
+        let content = Content::Memory { first: 0, bytes: bytes.to_vec() };
+        Library::from_content(path.into(), content, bytes.len())
     }
 
     fn from_content(path: PathBuf, content: Content, size: usize) -> Result<Self, Error> {
         let opened =
             OpenFile::new(content, size).map_err(|reason| Error::Format { path: path.clone(), reason })?;
-        let OpenFile { kind, names, digest, decoder, tensor_bytes } = opened;
+        let OpenFile { kind, names, digest, decoder } = opened;
         let entries = names.iter().map(|_| OnceLock::new()).collect();
         let library = Library { path, kind, names, digest, entries, file: Some(Arc::new(decoder)) };
-        if tensor_bytes <= SMALL_BYTES {
+        if size <= SMALL_BYTES {
             library.entries()?;
         }
         Ok(library)
@@ -487,15 +497,14 @@ struct OpenFile {
     names: Vec<String>,
     digest: Option<String>,
     decoder: Decoder<Entry>,
-    tensor_bytes: usize,
 }
 
 impl OpenFile {
     fn new(content: Content, size: usize) -> Result<OpenFile, String> {
         let (metadata, start) = read_header(&content, size)?;
-        let tensor_bytes = metadata.data_len();
+        let content = content.at_hand(start, size)?;
         let json = metadata.metadata().as_ref().and_then(|entries| entries.get("glimt"));
-        let header =
+        let (header, names) =
             header(json.ok_or("its metadata has no entry \"glimt\"; it is some other safetensors file")?)?;
         let kind: Kind = header
             .kind
@@ -504,13 +513,12 @@ impl OpenFile {
         let activation = header.activation.as_deref().map(activation_named).transpose()?;
         let tensors = Tensors::new(content, (metadata, start), header.materials.len(), activation);
         let material = with_kind!(kind, Decoded => decoder::<Decoded>(&tensors, header.form.as_ref()))?;
-        let names = header.materials.iter().map(|material| material.name.clone()).collect();
         let (digest, materials) = (header.digest, header.materials);
         let decoder = move |i: usize| {
-            let MaterialHeader { name, origin } = materials[i].clone();
+            let MaterialHeader { name, origin } = from_json(materials[i].get())?;
             Ok(Entry { name, material: material(i)?, origin })
         };
-        Ok(OpenFile { kind, names, digest, decoder: Box::new(decoder), tensor_bytes })
+        Ok(OpenFile { kind, names, digest, decoder: Box::new(decoder) })
     }
 }
 
@@ -522,23 +530,35 @@ where
     Ok(Box::new(move |i| decode(i).map(Material::from)))
 }
 
-/// The JSON object in a file's metadata, checked.
-fn header(json: &str) -> Result<Header, String> {
-    let version: FormatVersion =
-        serde_json::from_str(json).map_err(|e| format!("its \"glimt\" metadata is broken: {e}"))?;
-    if version.format != FORMAT_VERSION {
-        return Err(format!("it has format version {}, expected {FORMAT_VERSION}", version.format));
+/// The JSON object in a file's metadata, checked, and the names of its materials.
+fn header(json: &str) -> Result<(Header<Box<RawValue>>, Vec<String>), String> {
+    let header: Header<Box<RawValue>> = from_json(json).or_else(|broken| {
+        // A later version may be another object altogether.
+        let version: FormatVersion = from_json(json)?;
+        Err(if version.format == FORMAT_VERSION { broken } else { other_version(version.format) })
+    })?;
+    if header.format != FORMAT_VERSION {
+        return Err(other_version(header.format));
     }
-    let header: Header =
-        serde_json::from_str(json).map_err(|e| format!("its \"glimt\" metadata is broken: {e}"))?;
     if header.color_space != COLOR_SPACE {
         return Err(format!("its colour space is \"{}\", expected \"{COLOR_SPACE}\"", header.color_space));
     }
     if header.materials.is_empty() {
         return Err("it holds no material".into());
     }
-    check_names(header.materials.iter().map(|material| material.name.as_str()))?;
-    Ok(header)
+    let name =
+        |material: &Box<RawValue>| from_json::<Named>(material.get()).map(|named| named.name.into_owned());
+    let names = header.materials.iter().map(name).collect::<Result<Vec<_>, _>>()?;
+    check_names(names.iter().map(String::as_str))?;
+    Ok((header, names))
+}
+
+fn from_json<'a, T: Deserialize<'a>>(json: &'a str) -> Result<T, String> {
+    serde_json::from_str(json).map_err(|e| format!("its \"glimt\" metadata is broken: {e}"))
+}
+
+fn other_version(found: u32) -> String {
+    format!("it has format version {found}, expected {FORMAT_VERSION}")
 }
 
 fn activation_named(name: &str) -> Result<Activation, String> {

@@ -60,6 +60,10 @@ pub trait Table: Brdf + fmt::Debug {
 ///         "merl"
 ///     }
 ///
+///     fn grid(&self) -> String {
+///         "1 value".to_owned()
+///     }
+///
 ///     fn is_isotropic(&self) -> bool {
 ///         true
 ///     }
