@@ -546,9 +546,10 @@ fn header(json: &str) -> Result<(Header<Box<RawValue>>, Vec<String>), String> {
     if header.materials.is_empty() {
         return Err("it holds no material".into());
     }
-    let name =
-        |material: &Box<RawValue>| from_json::<Named>(material.get()).map(|named| named.name.into_owned());
-    let names = header.materials.iter().map(name).collect::<Result<Vec<_>, _>>()?;
+    let mut names = Vec::with_capacity(header.materials.len());
+    for material in &header.materials {
+        names.push(from_json::<Named>(material.get())?.name.into_owned());
+    }
     check_names(names.iter().map(String::as_str))?;
     Ok((header, names))
 }
