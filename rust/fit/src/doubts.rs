@@ -199,7 +199,7 @@ const ALBEDO_VIEWS: [f32; 6] = [0.0, 15.0, 30.0, 45.0, 60.0, 75.0];
 const ALBEDO_AZIMUTHS: usize = 4;
 /// Lights of every view.
 const ALBEDO_LIGHTS: usize = 2048;
-/// Albedos up to this are let pass: a fit is not exact, and a white material is near 1.
+/// Albedos up to this are accepted: a fit is not exact, and a white material is near 1.
 const LARGEST_ALBEDO: f64 = 1.05;
 /// Standard errors by which an albedo has to be above that.
 const SURE: f64 = 4.0;
