@@ -6,46 +6,18 @@
 // The header says once what every pointer must be, and that is the promise that the calls rely on.
 #![allow(clippy::missing_safety_doc)]
 
-use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::fmt::Display;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::ptr;
 
 use glimt_core::microfacet::Microfacet;
 use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
-use glimt_disk::printable;
 use glimt_files::Source;
 
 use crate::pointer::{Held, In, Out};
-
-/// What `f` returns, or `fallback` where it panics: a panic that reached C would end the process.
-pub(crate) fn guarded<T>(fallback: T, f: impl FnOnce() -> T) -> T {
-    catch_unwind(AssertUnwindSafe(f)).unwrap_or(fallback)
-}
-
-/// What a function answers.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum glimt_status {
-    /// It did what it says.
-    GLIMT_OK = 0,
-    /// An argument is NULL that must not be, a name is not UTF-8, or a size is 0.
-    GLIMT_ERROR_ARGUMENT = 1,
-    /// The file cannot be read.
-    GLIMT_ERROR_READ = 2,
-    /// The file is not a model library, or not a valid one.
-    GLIMT_ERROR_FORMAT = 3,
-    /// The library has no material of that name, or has several and none was named.
-    GLIMT_ERROR_MATERIAL = 4,
-    /// A parameter is out of its range, or the model has no such parameter.
-    GLIMT_ERROR_PARAMETER = 5,
-    /// An error of glimt itself.
-    GLIMT_ERROR_INTERNAL = 6,
-    /// The file cannot be written.
-    GLIMT_ERROR_WRITE = 7,
-}
-use glimt_status::*;
+pub use crate::status::glimt_status;
+use crate::status::glimt_status::*;
+use crate::status::{call, fail, last_error};
 
 /// The model of a material.
 #[repr(C)]
@@ -124,19 +96,6 @@ impl From<Sample> for glimt_light_sample {
     }
 }
 
-thread_local! {
-    static LAST_ERROR: RefCell<CString> = RefCell::default();
-}
-
-/// Keeps the message for `glimt_last_error`.
-pub(crate) fn fail(status: glimt_status, message: impl Into<String>) -> glimt_status {
-    let mut message = printable(&message.into()).into_owned().into_bytes();
-    message.retain(|&byte| byte != 0);
-    // A thread that is ending has no place for messages left, and nobody who could ask for them.
-    let _ = LAST_ERROR.try_with(|last| *last.borrow_mut() = CString::new(message).unwrap_or_default());
-    status
-}
-
 fn fail_with(error: Error) -> glimt_status {
     let status = match error {
         Error::Read { .. } => GLIMT_ERROR_READ,
@@ -160,15 +119,6 @@ fn fail_to_open(error: glimt_files::Error) -> glimt_status {
     fail(status, error.to_string())
 }
 
-/// Whether `f` did what it says; a panic becomes a status, as it must not reach C.
-pub(crate) fn call(f: impl FnOnce() -> Result<(), glimt_status>) -> glimt_status {
-    match guarded(None, || Some(f())) {
-        Some(Ok(())) => GLIMT_OK,
-        Some(Err(status)) => status,
-        None => fail(GLIMT_ERROR_INTERNAL, "internal error of glimt; the standard error stream says more"),
-    }
-}
-
 /// Version of glimt, as "major.minor.patch". A string that is always valid.
 #[unsafe(no_mangle)]
 pub extern "C" fn glimt_version() -> *const c_char {
@@ -186,7 +136,7 @@ pub extern "C" fn glimt_version() -> *const c_char {
 /// thread. Never NULL. A call that succeeds leaves the message as it is.
 #[unsafe(no_mangle)]
 pub extern "C" fn glimt_last_error() -> *const c_char {
-    LAST_ERROR.try_with(|last| last.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+    last_error()
 }
 
 /// Reads a model library (.safetensors), a measurement (RGL .bsdf, MERL .binary, UTIA .bin), the weights

@@ -12,9 +12,9 @@ use std::path::Path;
 use ::glimt_image::exr::{self, Exr};
 use ::glimt_image::{Image, Rows};
 
-use crate::c_api::glimt_status::{self, *};
-use crate::c_api::{call, fail};
 use crate::pointer::{Held, In, Out};
+use crate::status::glimt_status::{self, *};
+use crate::status::{call, fail};
 
 /// An image in memory. Immutable: any number of threads may use it at once.
 pub struct glimt_image {

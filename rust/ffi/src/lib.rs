@@ -5,3 +5,4 @@
 pub mod c_api;
 pub mod image_api;
 mod pointer;
+pub mod status;

@@ -6,8 +6,8 @@
 
 use std::ffi::{CStr, c_char};
 
-use crate::c_api::glimt_status::{self, GLIMT_ERROR_ARGUMENT};
-use crate::c_api::{fail, guarded};
+use crate::status::glimt_status::{self, GLIMT_ERROR_ARGUMENT};
+use crate::status::{fail, guarded};
 
 /// NULL, or a pointer to one or more `T` that nobody changes during the call.
 pub struct In<T>(pub *const T);

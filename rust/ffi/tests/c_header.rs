@@ -1,4 +1,4 @@
-//! The headers in `cpp/include/glimt` are generated from `src/c_api.rs` and `src/image_api.rs` and checked in, so
+//! The headers in `cpp/include/glimt` are generated from `src/status.rs`, `src/c_api.rs` and `src/image_api.rs` and checked in, so
 //! that a C program needs no Rust tool to read them. After a change of the interface:
 //!
 //! ```sh
@@ -33,7 +33,7 @@ const IMAGE_PREAMBLE: &str = "\
 
 struct Header {
     file: &'static str,
-    source: &'static str,
+    sources: &'static [&'static str],
     preamble: &'static str,
     guard: &'static str,
     system_includes: &'static [&'static str],
@@ -43,7 +43,7 @@ struct Header {
 const HEADERS: [Header; 2] = [
     Header {
         file: "glimt.h",
-        source: "c_api.rs",
+        sources: &["status.rs", "c_api.rs"],
         preamble: BRDF_PREAMBLE,
         guard: "GLIMT_H",
         system_includes: &["stdbool.h", "stddef.h"],
@@ -51,7 +51,7 @@ const HEADERS: [Header; 2] = [
     },
     Header {
         file: "image.h",
-        source: "image_api.rs",
+        sources: &["image_api.rs"],
         preamble: IMAGE_PREAMBLE,
         guard: "GLIMT_IMAGE_H",
         system_includes: &["stddef.h"],
@@ -77,8 +77,10 @@ fn generate(header: &Header) -> String {
         },
         ..cbindgen::Config::default()
     };
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(header.source);
-    let bindings = cbindgen::Builder::new().with_config(config).with_src(source).generate().unwrap();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let sources = header.sources.iter().map(|source| folder.join(source));
+    let builder = sources.fold(cbindgen::Builder::new().with_config(config), cbindgen::Builder::with_src);
+    let bindings = builder.generate().unwrap();
     let mut text = Vec::new();
     bindings.write(&mut text);
     String::from_utf8(text).unwrap()
@@ -98,7 +100,7 @@ fn headers_are_current() {
             checked_in == generated,
             "{} is not what src/{} says; write it anew with GLIMT_WRITE_HEADER=1",
             path.display(),
-            header.source
+            header.sources.join(", ")
         );
     }
 }
