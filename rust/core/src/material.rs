@@ -174,9 +174,10 @@ impl Material {
     /// Whether lanes of this material and lanes of `other` can be in one tile.
     #[must_use]
     pub fn shares_tiles_with(&self, other: &Material) -> bool {
-        with_model!(&self.model, model => {
-            of_model_of(model, other).is_some_and(|other| model.shares_tiles_with(other))
-        })
+        std::ptr::eq(self, other)
+            || with_model!(&self.model, model => {
+                of_model_of(model, other).is_some_and(|other| model.shares_tiles_with(other))
+            })
     }
 
     /// f_r in every lane, of that lane's material: [`Brdf::eval_tile`] for materials with each of which the first

@@ -8,7 +8,7 @@
 use std::f32::consts::{FRAC_1_PI, PI};
 
 use crate::error::Invalid;
-use crate::simd::{Lanes, Real, Vector};
+use crate::simd::{Lanes, Real, Spread, Vector};
 
 /// Smallest roughness: below it, the lobe is narrower than float32 half vectors resolve.
 pub const MIN_ALPHA: f32 = 1e-4;
@@ -89,7 +89,7 @@ impl Microfacet {
     #[inline(always)]
     #[must_use]
     pub fn eval<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [F; 3] {
-        self.terms().splat(light[0]).eval(light, view)
+        self.terms().eval(light, view)
     }
 }
 
@@ -118,17 +118,6 @@ pub struct Terms<F = f32> {
 impl Terms {
     /// How many numbers they are.
     pub const COUNT: usize = 6 + Roughness::COUNT;
-
-    /// The same in every lane.
-    #[inline(always)]
-    #[must_use]
-    pub fn splat<F: Real>(&self, like: F) -> Terms<F> {
-        Terms {
-            diffuse: splat3(self.diffuse, like),
-            eta: splat3(self.eta, like),
-            roughness: self.roughness.splat(like),
-        }
-    }
 }
 
 impl<F: Copy> Terms<F> {
@@ -150,23 +139,29 @@ impl<F: Copy> Terms<F> {
     }
 }
 
-impl<F: Real> Terms<F> {
-    /// f_a for directions above the horizon. Branch-free.
+impl<S: Copy> Terms<S> {
+    /// f_a for directions above the horizon, in any number of lanes. Branch-free.
     #[inline(always)]
     #[must_use]
-    pub fn eval(&self, light: [F; 3], view: [F; 3]) -> [F; 3] {
+    pub fn eval<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [F; 3]
+    where
+        S: Spread<F>,
+    {
         self.eval_half(&Half::new(light, view), light, view)
     }
 
     /// [`Terms::eval`] where the half vector is known.
     #[inline(always)]
     #[must_use]
-    pub fn eval_half(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 3] {
+    pub fn eval_half<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 3]
+    where
+        S: Spread<F>,
+    {
         let shape = self.roughness.shape(half, light, view);
         let cos_d = half.cos_d();
         let mut f = [shape; 3];
         for c in 0..3 {
-            f[c] = fresnel(cos_d, self.eta[c]).fma(shape, self.diffuse[c]);
+            f[c] = fresnel(cos_d, self.eta[c].spread(shape)).fma(shape, self.diffuse[c].spread(shape));
         }
         f
     }
@@ -183,7 +178,7 @@ impl Terms {
         light: [Vector<I, 4>; 3],
         view: [Vector<I, 4>; 3],
     ) -> Vector<I, 4> {
-        let shape = self.roughness.splat(light[0]).shape(half, light, view);
+        let shape = self.roughness.shape(half, light, view);
         let ([eta_r, eta_g, eta_b], [diffuse_r, diffuse_g, diffuse_b]) = (self.eta, self.diffuse);
         let diffuse = Vector::load(isa, &[diffuse_r, diffuse_g, diffuse_b, 0.0]);
         fresnel(half.cos_d(), Vector::load(isa, &[eta_r, eta_g, eta_b, 1.0])).fma(shape, diffuse)
@@ -204,18 +199,6 @@ pub struct Roughness<F = f32> {
 impl Roughness {
     /// How many numbers they are.
     const COUNT: usize = 5;
-
-    /// The same in every lane.
-    #[inline(always)]
-    #[must_use]
-    pub fn splat<F: Real>(&self, like: F) -> Roughness<F> {
-        let pair = |[x, y]: [f32; 2]| [like.splat(x), like.splat(y)];
-        Roughness {
-            alpha: pair(self.alpha),
-            inverse_square: pair(self.inverse_square),
-            ndf_scale: like.splat(self.ndf_scale),
-        }
-    }
 }
 
 impl<F: Copy> Roughness<F> {
@@ -240,19 +223,19 @@ impl<F: Real> Roughness<F> {
         let ndf_scale = (alpha[0] * PI * alpha[1]).reciprocal();
         Roughness { alpha, inverse_square: [x * x, y * y], ndf_scale }
     }
+}
 
+impl<S: Copy> Roughness<S> {
     /// D G / (4 cosθ_l cosθ_v), which the colour channels share, in sr⁻¹.
     #[inline(always)]
     #[must_use]
-    pub fn shape(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> F {
+    pub fn shape<F: Real>(&self, half: &Half<F>, light: [F; 3], view: [F; 3]) -> F
+    where
+        S: Spread<F>,
+    {
         let masking = masking_denominator(light, self.alpha) * masking_denominator(view, self.alpha);
         half.ndf(self) / masking
     }
-}
-
-#[inline(always)]
-fn splat3<F: Real>([x, y, z]: [f32; 3], like: F) -> [F; 3] {
-    [like.splat(x), like.splat(y), like.splat(z)]
 }
 
 /// Least z of the sum of two directions that counts. Below it the squares of the sum could vanish.
@@ -307,18 +290,18 @@ impl<F: Real> Half<F> {
     /// at small α.
     #[inline(always)]
     #[must_use]
-    pub fn ndf(&self, roughness: &Roughness<F>) -> F {
+    pub fn ndf(&self, roughness: &Roughness<impl Spread<F>>) -> F {
         let spread = self.slope(roughness) + self.height;
         let r = self.length_squared / spread.max(spread.splat(f32::MIN_POSITIVE));
-        r * r * roughness.ndf_scale
+        r * r * roughness.ndf_scale.spread(r)
     }
 
     /// (h_x/α_x)² + (h_y/α_y)².
     #[inline(always)]
     #[must_use]
-    pub fn slope(&self, roughness: &Roughness<F>) -> F {
+    pub fn slope(&self, roughness: &Roughness<impl Spread<F>>) -> F {
         let [x, y] = roughness.inverse_square;
-        self.tangential[0] * x + self.tangential[1] * y
+        self.tangential[0] * x.spread(self.height) + self.tangential[1] * y.spread(self.height)
     }
 }
 
@@ -328,9 +311,9 @@ impl<F: Real> Half<F> {
 /// division by a cosine that may vanish.
 #[inline(always)]
 #[must_use]
-pub fn masking_denominator<F: Real>(direction: [F; 3], alpha: [F; 2]) -> F {
+pub fn masking_denominator<F: Real>(direction: [F; 3], alpha: [impl Spread<F>; 2]) -> F {
     let [x, y, z] = direction;
-    let (x, y) = (x * alpha[0], y * alpha[1]);
+    let (x, y) = (x * alpha[0].spread(z), y * alpha[1].spread(z));
     (z + (z * z + x * x + y * y).sqrt()).max(z.splat(f32::MIN_POSITIVE))
 }
 

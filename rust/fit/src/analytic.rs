@@ -96,7 +96,7 @@ impl<F: Real> Derivatives<F> {
     #[must_use]
     pub fn new(p: &Microfacet, light: [F; 3], view: [F; 3]) -> Self {
         let half = Half::new(light, view);
-        let roughness = Roughness::new(p.alpha).splat(light[0]);
+        let roughness = Roughness::new(p.alpha);
         let (shape, cos_d) = (roughness.shape(&half, light, view), half.cos_d());
         let mut value = [shape; 3];
         let mut eta = [shape; 3];
@@ -129,7 +129,7 @@ impl<F: Real> Derivatives<F> {
 /// ∂/∂α of ln D − ln(masking of light) − ln(masking of view), see [`Roughness::shape`].
 #[inline(always)]
 fn log_alpha_slopes<F: Real>(half: &Half<F>, alpha: [f32; 2], light: [F; 3], view: [F; 3]) -> [F; 2] {
-    let spread = half.slope(&Roughness::new(alpha).splat(half.height)) + half.height;
+    let spread = half.slope(&Roughness::new(alpha)) + half.height;
     let scale = spread.splat(4.0) / spread.max(spread.splat(f32::MIN_POSITIVE));
     let (l, v) = (log_masking_slopes(light, alpha), log_masking_slopes(view, alpha));
     let mut slopes = l;

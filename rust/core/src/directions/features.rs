@@ -9,8 +9,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::microfacet::{Half, Roughness};
-use crate::simd::Real;
 use crate::simd::math::ln;
+use crate::simd::{Real, Spread};
 
 /// Most features that any choice of inputs has.
 pub const MAX_FEATURES: usize = 8;
@@ -65,7 +65,7 @@ impl Inputs {
     #[inline(always)]
     #[must_use]
     pub fn compute<F: Real>(self, light: [F; 3], view: [F; 3], alpha: [f32; 2]) -> [F; MAX_FEATURES] {
-        let roughness = Roughness::new(alpha).splat(light[0]);
+        let roughness = Roughness::new(alpha);
         self.compute_half(&Half::new(light, view), light, view, &roughness)
     }
 
@@ -77,7 +77,7 @@ impl Inputs {
         half: &Half<F>,
         light: [F; 3],
         view: [F; 3],
-        roughness: &Roughness<F>,
+        roughness: &Roughness<impl Spread<F>>,
     ) -> [F; MAX_FEATURES] {
         let none = light[0].splat(0.0);
         if self == Inputs::Cartesian {
@@ -114,7 +114,7 @@ impl Inputs {
     #[inline(always)]
     #[must_use]
     pub fn lobe_derivative<F: Real>(half: &Half<F>, alpha: [f32; 2]) -> [F; 2] {
-        let spread = half.height + half.slope(&Roughness::new(alpha).splat(half.height));
+        let spread = half.height + half.slope(&Roughness::new(alpha));
         let scale = half.height.splat(-2.0 * LOBE_SCALE) / spread;
         let [x, y] = [alpha[0] * alpha[0] * alpha[0], alpha[1] * alpha[1] * alpha[1]];
         [scale * half.tangential[0] * (1.0 / x), scale * half.tangential[1] * (1.0 / y)]
@@ -176,7 +176,7 @@ fn azimuth_d<F: Real>(half: &Half<F>, light: [F; 3], view: [F; 3]) -> [F; 2] {
 
 /// ln(1 + tan²θ_h/α²), scaled; the same in every direction that has the same D(h).
 #[inline(always)]
-fn lobe<F: Real>(half: &Half<F>, roughness: &Roughness<F>) -> F {
+fn lobe<F: Real>(half: &Half<F>, roughness: &Roughness<impl Spread<F>>) -> F {
     ln((half.slope(roughness) / half.height).at_most(MAX_SLOPE) + 1.0) * LOBE_SCALE
 }
 

@@ -26,7 +26,7 @@ use crate::brdf::{Brdf, is_lit};
 use crate::directions::elevations;
 use crate::microfacet::{Half, Microfacet, Terms};
 use crate::sampling::lobes::{sample_cosine, sample_visible_normal, visible_normal_pdf};
-use crate::simd::Real;
+use crate::simd::{Real, Spread};
 
 /// ε where f_a falls: what the analytic part of a diffuse albedo of 5 % reflects.
 pub const FLOOR: f32 = 0.05 * FRAC_1_PI;
@@ -70,26 +70,22 @@ impl Turn {
         let growth = [0, 1].map(|i| (ASIDE * (edited[i] - fitted[i]).max(0.0)).powi(2));
         (growth != [0.0; 2]).then_some(Turn { growth })
     }
-
-    /// The same in every lane.
-    #[inline(always)]
-    #[must_use]
-    pub fn splat<F: Real>(&self, like: F) -> Turn<F> {
-        Turn { growth: [like.splat(self.growth[0]), like.splat(self.growth[1])] }
-    }
 }
 
-impl<F: Real> Turn<F> {
+impl<S: Copy> Turn<S> {
     /// The pair as the network is asked about it.
     #[inline(always)]
     #[must_use]
-    pub fn apply(&self, light: [F; 3], view: [F; 3]) -> [[F; 3]; 2] {
+    pub fn apply<F: Real>(&self, light: [F; 3], view: [F; 3]) -> [[F; 3]; 2]
+    where
+        S: Spread<F>,
+    {
         let half = Half::new(light, view);
         let (zero, one) = (light[0].splat(0.0), light[0].splat(1.0));
         let tilted = zero.lt(half.across);
         let inverse = one / Real::select(tilted, half.across, one).sqrt();
         let [x, y] = [Real::select(tilted, half.vector[0] * inverse, one), half.vector[1] * inverse];
-        let growth = x * x * self.growth[0] + y * y * self.growth[1];
+        let growth = x * x * self.growth[0].spread(x) + y * y * self.growth[1].spread(x);
         // Sine and cosine before and after, and of the angle between.
         let [sin, cos] = [half.across.sqrt() / half.length, half.vector[2] / half.length];
         let grown = half.across + half.height * growth;
@@ -146,17 +142,6 @@ impl Room {
         &self.shares
     }
 
-    /// The same in every lane.
-    #[inline(always)]
-    #[must_use]
-    pub fn splat<F: Real>(&self, like: F) -> Room<F> {
-        let mut shares = [like; KNOTS];
-        for i in 0..KNOTS {
-            shares[i] = like.splat(self.shares[i]);
-        }
-        Room { shares }
-    }
-
     /// The room for the residual of `whole`, of which `gated` has none, below the largest albedo of `allowed` and 1,
     /// with a little headroom.
     #[must_use]
@@ -188,22 +173,29 @@ impl Room {
     }
 }
 
-impl<F: Real> Room<F> {
+impl<S: Copy> Room<S> {
     /// s: the lesser of the shares for light and view, so that a reciprocal material stays one.
     #[inline(always)]
     #[must_use]
-    pub fn share(&self, light: [F; 3], view: [F; 3]) -> F {
+    pub fn share<F: Real>(&self, light: [F; 3], view: [F; 3]) -> F
+    where
+        S: Spread<F>,
+    {
         self.at(light[2]).min(self.at(view[2]))
     }
 
     /// The share for one direction: a sum of ramps, each of which rises by the step between two knots.
     #[inline(always)]
-    fn at(&self, cos_theta: F) -> F {
+    fn at<F: Real>(&self, cos_theta: F) -> F
+    where
+        S: Spread<F>,
+    {
         let place = elevations::place(cos_theta) * STEPS as f32;
-        let mut share = self.shares[0];
+        let mut share = self.shares[0].spread(place);
         for i in 0..STEPS {
             let ramp = (place - i as f32).clamped(0.0, 1.0);
-            share = ramp.fma(self.shares[i + 1] - self.shares[i], share);
+            let step = self.shares[i + 1].spread(place) - self.shares[i].spread(place);
+            share = ramp.fma(step, share);
         }
         share
     }

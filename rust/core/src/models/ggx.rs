@@ -88,7 +88,7 @@ impl Kernel for Ggx {
         light: [Vector<I, L>; 3],
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
-        self.terms.splat(light[0]).eval(light, view)
+        self.terms.eval(light, view)
     }
 }
 

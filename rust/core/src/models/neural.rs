@@ -270,7 +270,7 @@ impl Kernel for Neural {
         self.network.forward_tile(isa, self.first_bias.as_flattened(), &x, &mut y);
         let f = Vector::load3(isa, &[y[0], y[1], y[2]]).map(|y| bounded_exp(y, self.bound));
         let Some(recoded) = &self.recoded else { return f };
-        let room = recoded.room.splat(light[0]).share(light, view);
+        let room = recoded.room.share(light, view);
         f.map(|f| f * room)
     }
 

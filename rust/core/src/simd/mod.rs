@@ -21,7 +21,7 @@ pub use limit::multiply_adds;
 #[cfg(target_arch = "aarch64")]
 pub use neon::Neon;
 pub use portable::Portable;
-pub use real::{Real, Vector};
+pub use real::{Real, Spread, Vector};
 #[cfg(target_arch = "x86_64")]
 pub use x86::{Avx2, Avx512};
 

@@ -74,6 +74,26 @@ pub trait Real:
     }
 }
 
+/// A parameter of a formula in lanes: one number for all of them, or a number for each.
+pub trait Spread<F>: Copy {
+    /// The number of every lane, of which there are as many as `like` has.
+    fn spread(self, like: F) -> F;
+}
+
+impl<F: Real> Spread<F> for f32 {
+    #[inline(always)]
+    fn spread(self, like: F) -> F {
+        like.splat(self)
+    }
+}
+
+impl<I: Lanes<L>, const L: usize> Spread<Self> for Vector<I, L> {
+    #[inline(always)]
+    fn spread(self, _: Self) -> Self {
+        self
+    }
+}
+
 impl Real for f32 {
     type Mask = bool;
     type Array = [f32; 1];

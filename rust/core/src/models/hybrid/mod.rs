@@ -9,6 +9,8 @@
 //! largest value that it took over directions like the fit's, which the library stores for each
 //! material. What other k_d, η, α and z make of it says [`crate::models::edit`].
 
+mod lanes;
+
 use std::sync::Arc;
 
 use glam::Vec3;
@@ -16,15 +18,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::directions::features::{Inputs, MAX_FEATURES};
 use crate::error::{Invalid, Unmixable};
-use crate::kernels::mixed::{self, MixedKernel};
-use crate::kernels::network::{Bias, Network, One, Rows, check_latent};
+use crate::kernels::mixed;
+use crate::kernels::network::{Network, One, check_latent};
 use crate::kernels::{Kernel, splat3};
 use crate::microfacet::{Half, Microfacet, Terms};
-use crate::models::edit::{self, Albedos, Allowed, Black, Edit, Fitted, KNOTS, Origin, Room, Turn, Views};
+use crate::models::edit::{self, Albedos, Allowed, Black, Edit, Fitted, Origin, Room, Turn, Views};
 use crate::models::ggx::Ggx;
 use crate::models::{Model, spelled};
 use crate::simd::math::{exp, ln, sigmoid};
-use crate::simd::{Isa, LANES, Lane, Lane3, Lanes, Real, Vector};
+use crate::simd::{Isa, LANES, Lane, Lane3, Lanes, Real, Spread, Vector};
+use lanes::Own;
 
 /// How the network's outputs and f_a make f.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -112,7 +115,7 @@ impl Form {
     #[inline(always)]
     pub fn inputs_and_analytic<I: Lanes<L>, const L: usize>(
         self,
-        terms: &Terms<Vector<I, L>>,
+        terms: &Terms<impl Spread<Vector<I, L>>>,
         light: [Vector<I, L>; 3],
         view: [Vector<I, L>; 3],
         x: &mut [[f32; L]; MAX_INPUTS],
@@ -343,14 +346,6 @@ impl Hybrid {
         &self.microfacet
     }
 
-    /// The numbers of [`Own`].
-    #[inline(always)]
-    fn own_row(&self) -> [f32; OWN_COUNT] {
-        let mut row = [self.bound; OWN_COUNT];
-        row[..Terms::COUNT].copy_from_slice(&self.terms.to_row());
-        row
-    }
-
     /// z.
     #[must_use]
     pub fn latent(&self) -> &[f32] {
@@ -416,7 +411,6 @@ impl Model for Hybrid {
     }
 }
 
-#[expect(clippy::manual_map, reason = "a closure would not be compiled for the instruction set")]
 impl Kernel for Hybrid {
     #[inline(always)]
     fn eval_lanes<I: Lanes<L>, const L: usize>(
@@ -425,16 +419,8 @@ impl Kernel for Hybrid {
         light: [Vector<I, L>; 3],
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
-        let like = light[0];
-        let own = Own {
-            terms: self.terms.splat(like),
-            bound: like.splat(self.bound),
-            edit: match &self.edit {
-                Some(edit) => Some(OwnEdit::splat(edit, like)),
-                None => None,
-            },
-        };
-        evaluate(isa, self.form, &self.network, self.first_bias.as_flattened(), &own, light, view)
+        let first_bias = self.first_bias.as_flattened();
+        lanes::evaluate(isa, self.form, &self.network, first_bias, &Own::of(self), light, view)
     }
 
     #[inline(always)]
@@ -442,15 +428,14 @@ impl Kernel for Hybrid {
         // Before the network the pair stands in all lanes, so that nothing has to move between them;
         // after it the lanes are the channels.
         let (light, view) = (splat3::<I, 4>(isa, light), splat3(isa, view));
-        let like = light[0];
         let [asked_light, asked_view] = match self.edit.as_ref().and_then(|edit| edit.turn) {
-            Some(turn) => turn.splat(like).apply(light, view),
+            Some(turn) => turn.apply(light, view),
             None => [light, view],
         };
         let half = Half::new(asked_light, asked_view);
         let analytic = self.terms.eval_one(isa, &half, asked_light, asked_view);
-        let roughness = self.terms.roughness.splat(like);
-        let features = self.form.inputs.compute_half(&half, asked_light, asked_view, &roughness);
+        let roughness = &self.terms.roughness;
+        let features = self.form.inputs.compute_half(&half, asked_light, asked_view, roughness);
         let mut x = [0.0; MAX_INPUTS];
         for i in 0..MAX_FEATURES {
             x[i] = features[i].first();
@@ -462,191 +447,18 @@ impl Kernel for Hybrid {
         let mut y = One::default();
         self.network.forward_one(isa, &self.first_bias, &x, &mut y);
         let [a, b] = [Vector::load(isa, y.four_from::<0>()), Vector::load(isa, y.four_from::<3>())];
-        let (composition, bound) = (self.form.composition, like.splat(self.bound));
+        let (composition, bound) = (self.form.composition, a.splat(self.bound));
         let f = match &self.edit {
             None => composition.compose(a, b, analytic, bound),
             Some(edit) => {
                 let edited = edit.terms.eval_one(isa, &Half::new(light, view), light, view);
-                let room = edit.room.splat(like).share(light, view);
+                let room = edit.room.share(light, view);
                 composition.compose_edited(a, b, analytic, edited, room, bound)
             }
         };
         let f = f.to_array();
         Vec3::new(f[0], f[1], f[2])
     }
-}
-
-/// Hybrids of one network differ in what comes before it, the inputs and the first bias with the latent code folded
-/// in, and in what is made of its outputs.
-impl MixedKernel for Hybrid {
-    #[inline(always)]
-    fn eval_mixed<I: Lanes<L>, const L: usize>(
-        isa: I,
-        materials: &[&Self; L],
-        light: [Vector<I, L>; 3],
-        view: [Vector<I, L>; 3],
-    ) -> [Vector<I, L>; 3] {
-        let mut rows = [[0.0; OWN_COUNT]; L];
-        let mut has_edits = false;
-        for lane in 0..L {
-            rows[lane] = materials[lane].own_row();
-            has_edits |= materials[lane].edit.is_some();
-        }
-        let mut own = Own::from_row(Vector::transpose(isa, &rows));
-        if has_edits {
-            let mut rows = [[0.0; EDIT_ROW]; L];
-            for lane in 0..L {
-                if let Some(edit) = &materials[lane].edit {
-                    rows[lane] = edit_row(edit);
-                }
-            }
-            own.edit = Some(OwnEdit::from_row(&Vector::transpose(isa, &rows)));
-        }
-        let first = materials[0];
-        let mut first_bias = Rows::default();
-        for part in 0..first.first_bias.len() {
-            let mut rows = [[0.0; LANES]; L];
-            for lane in 0..L {
-                rows[lane] = materials[lane].first_bias[part];
-            }
-            for row in Vector::transpose(isa, &rows) {
-                first_bias.push(isa, [row.lanes()]);
-            }
-        }
-        evaluate(isa, first.form, &first.network, &first_bias[..], &own, light, view)
-    }
-}
-
-/// What a material does not share with others of its network, but for the first bias: one material's numbers in
-/// every lane, or another's in each.
-struct Own<F: Real> {
-    /// Of p₀, beside which the network was fitted.
-    terms: Terms<F>,
-    bound: F,
-    /// `None` where no lane's material is an edit.
-    edit: Option<OwnEdit<F>>,
-}
-
-/// The numbers of [`Own`] in a row, but for those of an edit.
-const OWN_COUNT: usize = Terms::COUNT + 1;
-
-impl<F: Real> Own<F> {
-    #[inline(always)]
-    fn from_row([terms @ .., bound]: [F; OWN_COUNT]) -> Self {
-        Own { terms: Terms::from_row(terms), bound, edit: None }
-    }
-}
-
-/// What an edit adds to [`Own`], in the lanes whose material is one.
-struct OwnEdit<F: Real> {
-    is_edited: F::Mask,
-    terms: Terms<F>,
-    room: Room<F>,
-    /// `None` where every lane asks the network about its very pair.
-    turn: Option<(F::Mask, Turn<F>)>,
-}
-
-/// The numbers of [`OwnEdit`] in a row: those of the edit, whether it is one, and whether it turns.
-const EDIT_COUNT: usize = Terms::COUNT + KNOTS + Turn::COUNT + 2;
-
-/// A row of numbers, padded for [`Vector::transpose`].
-const EDIT_ROW: usize = EDIT_COUNT.next_multiple_of(4);
-
-/// The numbers of an edit.
-#[inline(always)]
-fn edit_row(edit: &Edit) -> [f32; EDIT_ROW] {
-    let growth = edit.turn.map_or([0.0; Turn::COUNT], |turn| turn.growth);
-    let flags = [1.0, if edit.turn.is_some() { 1.0 } else { 0.0 }];
-    let mut row = [0.0; EDIT_ROW];
-    let numbers = [&edit.terms.to_row()[..], &edit.room.shares, &growth, &flags];
-    let mut rest = &mut row[..];
-    for numbers in numbers {
-        let (part, after) = rest.split_at_mut(numbers.len());
-        part.copy_from_slice(numbers);
-        rest = after;
-    }
-    row
-}
-
-impl<F: Real> OwnEdit<F> {
-    #[inline(always)]
-    #[expect(clippy::manual_map, reason = "a closure would not be compiled for the instruction set")]
-    fn splat(edit: &Edit, like: F) -> Self {
-        let every = like.splat(0.0).lt(like.splat(1.0));
-        OwnEdit {
-            is_edited: every,
-            terms: edit.terms.splat(like),
-            room: edit.room.splat(like),
-            turn: match &edit.turn {
-                Some(turn) => Some((every, turn.splat(like))),
-                None => None,
-            },
-        }
-    }
-
-    #[inline(always)]
-    fn from_row(row: &[F; EDIT_ROW]) -> Self {
-        const WHOLE: &str = "a row has the numbers of its parts";
-        let (terms, rest) = row.split_first_chunk().expect(WHOLE);
-        let (shares, rest) = rest.split_first_chunk().expect(WHOLE);
-        let (growth, rest) = rest.split_first_chunk().expect(WHOLE);
-        let zero = row[0].splat(0.0);
-        OwnEdit {
-            is_edited: zero.lt(rest[0]),
-            terms: Terms::from_row(*terms),
-            room: Room { shares: *shares },
-            turn: Some((zero.lt(rest[1]), Turn { growth: *growth })),
-        }
-    }
-
-    /// The pairs that the network is asked about.
-    #[inline(always)]
-    fn asked(&self, light: [F; 3], view: [F; 3]) -> [[F; 3]; 2] {
-        let Some((is_turned, turn)) = &self.turn else { return [light, view] };
-        let mut asked = turn.apply(light, view);
-        for c in 0..3 {
-            asked[0][c] = Real::select(*is_turned, asked[0][c], light[c]);
-            asked[1][c] = Real::select(*is_turned, asked[1][c], view[c]);
-        }
-        asked
-    }
-}
-
-/// f of pairs above the horizon side by side.
-#[inline(always)]
-fn evaluate<I: Lanes<L>, const L: usize>(
-    isa: I,
-    form: Form,
-    network: &Network,
-    first_bias: impl Bias<L>,
-    own: &Own<Vector<I, L>>,
-    light: [Vector<I, L>; 3],
-    view: [Vector<I, L>; 3],
-) -> [Vector<I, L>; 3] {
-    let mut x = [[0.0; L]; MAX_INPUTS];
-    let [asked_light, asked_view] = match &own.edit {
-        Some(edit) => edit.asked(light, view),
-        None => [light, view],
-    };
-    let analytic = form.inputs_and_analytic(&own.terms, asked_light, asked_view, &mut x);
-    let mut y = Rows::default();
-    network.forward_tile(isa, first_bias, &x, &mut y);
-    // A composition of three outputs has no b.
-    let second = y.len() - 3;
-    let mut f = analytic;
-    for c in 0..3 {
-        let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
-        f[c] = form.composition.compose(a, b, analytic[c], own.bound);
-    }
-    if let Some(edit) = &own.edit {
-        let (edited, room) = (edit.terms.eval(light, view), edit.room.share(light, view));
-        for c in 0..3 {
-            let [a, b] = [Vector::load(isa, &y[c]), Vector::load(isa, &y[c + second])];
-            let whole = form.composition.compose_edited(a, b, analytic[c], edited[c], room, own.bound);
-            f[c] = Real::select(edit.is_edited, whole, f[c]);
-        }
-    }
-    f
 }
 
 /// The same model in float64, written as the paper prints it. What tests compare against.
