@@ -90,8 +90,9 @@ impl Content {
     }
 }
 
-/// Bytes of tensors that are read at once: less than what reading them by parts costs.
-const SMALL: usize = 1 << 16;
+/// Bytes that are read at once: less work than reading them by parts. A file of no more is checked whole when it is
+/// opened.
+pub(crate) const SMALL: usize = 1 << 16;
 
 /// Bytes before the header, which say how long it is.
 const LENGTH: usize = size_of::<u64>();
