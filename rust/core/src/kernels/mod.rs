@@ -200,3 +200,36 @@ fn triples<K: Kernel, I: Lanes<L>, const L: usize>(
         *out = [red[lane], green[lane], blue[lane]];
     }
 }
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    /// Compares a material with its float64 `reference` at pairs of every elevation, alone and in a batch; `allowed`
+    /// is the largest difference from a value. Returns f of the pairs.
+    pub fn assert_is_the_reference(
+        material: &impl Brdf,
+        reference: impl Fn(DVec3, DVec3) -> [f64; 3],
+        allowed: impl Fn(f64) -> f64,
+    ) -> Vec<Vec3> {
+        let direction = |i: usize| {
+            let (z, phi) = (0.05 + 0.95 * (i as f32 * 0.754_877_7).fract(), i as f32 * 2.399);
+            let r = (1.0 - z * z).sqrt();
+            Vec3::new(r * phi.cos(), r * phi.sin(), z)
+        };
+        let light: Vec<_> = (0..150).map(direction).collect();
+        let view: Vec<_> = (0..150).map(|i| direction(i * 7 + 3)).collect();
+        let mut batch = vec![Vec3::ZERO; light.len()];
+        material.eval_batch(&light, &view, &mut batch);
+        for i in 0..light.len() {
+            let difference = (batch[i] - material.eval(light[i], view[i])).abs().max_element();
+            assert!(difference <= ONE_MAX_RELATIVE_DIFFERENCE * batch[i].max_element() + 1e-6);
+            let truth = reference(light[i].as_dvec3(), view[i].as_dvec3());
+            for (f, truth) in batch[i].to_array().into_iter().zip(truth) {
+                assert!((f64::from(f) - truth).abs() < allowed(truth), "{f} against {truth}");
+            }
+        }
+        batch
+    }
+}

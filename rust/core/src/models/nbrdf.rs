@@ -163,31 +163,14 @@ pub mod reference {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Brdf;
-    use crate::kernels::ONE_MAX_RELATIVE_DIFFERENCE;
     use crate::kernels::network::{Activation, tests::patterned};
+    use crate::kernels::tests::assert_is_the_reference;
 
     #[test]
     fn eval_is_the_reference_in_every_kernel() {
         let network = patterned(&[FEATURES, WIDTH, WIDTH, 3], FEATURES, Activation::Relu);
         let material = Nbrdf::new(Arc::new(network)).unwrap();
-        let direction = |i: usize| {
-            let (z, phi) = (0.05 + 0.95 * (i as f32 * 0.754_877_7).fract(), i as f32 * 2.399);
-            let r = (1.0 - z * z).sqrt();
-            Vec3::new(r * phi.cos(), r * phi.sin(), z)
-        };
-        let light: Vec<_> = (0..150).map(direction).collect();
-        let view: Vec<_> = (0..150).map(|i| direction(i * 7 + 3)).collect();
-        let mut batch = vec![Vec3::ZERO; light.len()];
-        material.eval_batch(&light, &view, &mut batch);
-        for i in 0..light.len() {
-            let difference = (batch[i] - material.eval(light[i], view[i])).abs().max_element();
-            assert!(difference <= ONE_MAX_RELATIVE_DIFFERENCE * batch[i].max_element() + 1e-6);
-            let truth = reference::eval(&material, light[i].as_dvec3(), view[i].as_dvec3());
-            for (f, truth) in batch[i].to_array().into_iter().zip(truth) {
-                assert!((f64::from(f) - truth).abs() < 2e-5, "{f} against {truth}");
-            }
-        }
+        let batch = assert_is_the_reference(&material, |l, v| reference::eval(&material, l, v), |_| 2e-5);
         assert!(batch.iter().any(|f| f.max_element() > 0.1));
     }
 
