@@ -18,7 +18,7 @@ namespace dr = drjit;
 /**
  * \brief A whole model as Dr.Jit traces it, for derivatives and for GPUs
  *
- * The counterpart of rust/core/src/models/hybrid.rs and its neighbours, with the parameters of a material
+ * The counterpart of rust/core/src/models/hybrid and its neighbours, with the parameters of a material
  * as variables that can carry gradients.
  */
 template <typename Float> class TracedModel {
