@@ -39,7 +39,6 @@ struct OwnTurn<S, M> {
 impl<M> Own<f32, M> {
     /// A material in all lanes.
     #[inline(always)]
-    #[expect(clippy::manual_map, reason = "a closure would not be compiled for the instruction set")]
     pub(super) fn of(material: &Hybrid) -> Self {
         let edit = match &material.edit {
             Some(edit) => Some(OwnEdit {
