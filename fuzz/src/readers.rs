@@ -10,6 +10,7 @@ use glimt_files::{Array, Samples, merl_fits, nbrdf};
 use glimt_fit::checkpoint::Checkpoint;
 use glimt_measured::utia::Encoding;
 use glimt_measured::{Measured, Merl, Rgl, Utia, merl, utia};
+use glimt_textures::{Folder, Maps, Size};
 
 /// Name in errors; no file is opened.
 const PATH: &str = "hostile";
@@ -18,7 +19,7 @@ const PATH: &str = "hostile";
 pub type Reader = (&'static str, fn(&[u8]) -> bool);
 
 /// All of them, by the names of their folders in the corpus.
-pub const READERS: [Reader; 9] = [
+pub const READERS: [Reader; 10] = [
     ("library", library),
     ("merl", merl_file),
     ("utia", utia_file),
@@ -28,6 +29,7 @@ pub const READERS: [Reader; 9] = [
     ("samples", samples),
     ("checkpoint", checkpoint),
     ("fit", fit),
+    ("textures", textures),
 ];
 
 /// Model libraries.
@@ -101,6 +103,51 @@ pub fn fit(bytes: &[u8]) -> bool {
     true
 }
 
+/// Folders of texture maps.
+pub fn textures(bytes: &[u8]) -> bool {
+    const LIMIT: usize = 1 << 20;
+    let maps = within(IMAGES, bytes, || {
+        let folder = Folder::from_files(PATH, packed_files(bytes))?;
+        // A claim of many texels is refused here, and of a moderate number there.
+        let _ = folder.maps(Size::Own, LIMIT as u64 / 4)?;
+        folder.maps(Size::LongestSide(5), LIMIT as u64)
+    });
+    let Some(maps) = maps else { return false };
+    promises_of_maps(&maps);
+    true
+}
+
+/// Files one after another: the length of the name in one byte, the name, the length of the contents in two bytes of
+/// which the first is the lower one, the contents. The last may end early.
+fn packed_files(mut bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
+    fn take<'a>(bytes: &mut &'a [u8], length: usize) -> &'a [u8] {
+        let (taken, rest) = bytes.split_at(length.min(bytes.len()));
+        *bytes = rest;
+        taken
+    }
+    let mut files = Vec::new();
+    while !bytes.is_empty() {
+        let length = usize::from(take(&mut bytes, 1)[0]);
+        let name = String::from_utf8_lossy(take(&mut bytes, length)).into_owned();
+        let length = take(&mut bytes, 2).iter().rev().fold(0, |length, &byte| length << 8 | usize::from(byte));
+        files.push((name, take(&mut bytes, length).to_vec()));
+    }
+    files
+}
+
+/// Numbers are from 0 to 1, and normals are unit vectors above the surface.
+fn promises_of_maps(maps: &Maps) {
+    let texels = maps.size[0] * maps.size[1];
+    assert!(maps.base_color.len() == texels && maps.normal.len() == texels);
+    for scalars in [&maps.roughness, &maps.metalness, &maps.specular] {
+        assert!(scalars.len() == texels && scalars.iter().all(|x| (0.0..=1.0).contains(x)), "{scalars:?}");
+    }
+    assert!(maps.base_color.iter().flatten().all(|x| (0.0..=1.0).contains(x)), "{:?}", maps.base_color);
+    for &[x, y, z] in &maps.normal {
+        assert!((x * x + y * y + z * z - 1.0).abs() < 1e-5 && z > 0.04, "normal ({x}, {y}, {z})");
+    }
+}
+
 /// f is finite and ≥ 0 and the density is that of the sampler, wherever one looks.
 fn promises(material: &dyn SampleBrdf) {
     let directions = [
@@ -144,6 +191,10 @@ const JSON: Budget = Budget { factor: 24, slack: 256 << 10 };
 /// for which the HDF5 reader makes room at every object before it looks for them: 9.4 MB of addresses, of which it
 /// touches what the file has.
 const ARCHIVE: Budget = Budget { factor: 2, slack: 64 << 20 };
+
+/// Texels up to the limit that the target asks for; the decoders' own buffers, such as the window of a PNG; and a JSON
+/// document of glTF.
+const IMAGES: Budget = Budget { factor: 24, slack: 4 << 20 };
 
 /// What `read` gives, if that is no error; fails if it took more than its budget.
 fn within<T, E: std::fmt::Debug>(

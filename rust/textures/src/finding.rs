@@ -72,6 +72,15 @@ pub enum Finding {
         /// The width and height that it has now.
         to: [usize; 2],
     },
+    /// Heights said which way the green channel of a normal map points, as its name did not.
+    Green {
+        /// The normal map.
+        file: String,
+        /// The map of heights.
+        heights: String,
+        /// Where it points; `None` if the heights do not say it either, so that it is taken to point up.
+        is_up: Option<bool>,
+    },
     /// Texels that are read otherwise than they stand there.
     Odd {
         /// The parameter.
@@ -115,6 +124,14 @@ impl fmt::Display for Finding {
             Finding::Unused { file, why } => write!(f, "{file} is not used: {why}"),
             Finding::Resized { map, file, from, to } => {
                 write!(f, "{map}: {file} is resized from {} × {} to {} × {}", from[0], from[1], to[0], to[1])
+            }
+            Finding::Green { file, heights, is_up } => {
+                let points = match is_up {
+                    Some(true) => "points up (GL), by the heights in",
+                    Some(false) => "points down (DX) and is turned up, by the heights in",
+                    None => "is taken to point up (GL): nothing is said by",
+                };
+                write!(f, "normals: the green channel of {file} {points} {heights}")
             }
             Finding::Odd { map, file, what, count, of } => {
                 write!(f, "{map}: {count} of {of} texels of {file} {what}")

@@ -11,7 +11,7 @@ use crate::gltf;
 use crate::image::{Format, Image};
 use crate::maps::{self, Maps, Size};
 use crate::names::{self, Green, Name, Role};
-use crate::recipe::{Channel, Color, Normals, Recipe, Scalar};
+use crate::recipe::{Channel, Color, Normals, Recipe, Scalar, is_same_shape};
 use crate::source::{Bytes, Files};
 
 /// The memory in bytes that [`Folder::maps`] may take, where nothing speaks against it: 1 GiB.
@@ -262,7 +262,13 @@ impl Images {
             return Err(Error::NoMaterial { path: path.to_owned(), name, names: all() });
         };
         let mut choice = Choice::default();
-        for image in &self.0 {
+        let is_of_another = |image: &&Listed| {
+            image.name.as_ref().is_some_and(|name| {
+                let of = name.material.to_lowercase();
+                of != key && !of.is_empty() && materials.contains_key(&of)
+            })
+        };
+        for image in self.0.iter().filter(|image| !is_of_another(image)) {
             choice.add(image, &key, files)?;
         }
         for file in files.names()?.into_iter().filter(|name| is_gltf(name)) {
@@ -275,7 +281,7 @@ impl Images {
         } else {
             material.clone()
         };
-        let (recipe, findings) = choice.made();
+        let (recipe, findings) = choice.made(files);
         finish(path, material, recipe, findings)
     }
 }
@@ -294,7 +300,7 @@ impl Candidate {
             Role::BaseColor | Role::Roughness | Role::Metalness | Role::SpecularLevel => 0,
             Role::Normal(Green::Up) => 0,
             Role::Diffuse | Role::Gloss | Role::Normal(Green::Unsaid) => 1,
-            Role::Packed | Role::Normal(Green::Down) | Role::Unused(_) => 2,
+            Role::Packed | Role::Normal(Green::Down) | Role::Height | Role::Unused(_) => 2,
         };
         let is_exact = self.image.format != Format::Jpeg;
         (meaning, Reverse((self.image.texels(), self.image.depth, is_exact)), self.file.clone())
@@ -305,6 +311,7 @@ impl Candidate {
 #[derive(Default)]
 struct Choice {
     candidates: Vec<Candidate>,
+    heights: Vec<String>,
     unused: Vec<Finding>,
 }
 
@@ -317,6 +324,10 @@ impl Choice {
             }
             (Some(_), None) => "its format is not read".to_owned(),
             (Some(_), Some(Role::Unused(what))) => what.to_owned(),
+            (Some(_), Some(role @ Role::Height)) => {
+                self.heights.push(image.file.clone());
+                role.of().to_owned()
+            }
             (Some(_), Some(role)) => {
                 let image_of = Arc::new(Image::open(files.get(&image.file)?)?);
                 self.candidates.push(Candidate { role, image: image_of, file: image.file.clone() });
@@ -342,7 +353,14 @@ impl Choice {
             .min_by_key(|candidate| candidate.order())
     }
 
-    fn made(self) -> (Recipe, Vec<Finding>) {
+    /// Heights of the same shape as the normals. Those that cannot be read are no reason to refuse the others.
+    fn heights_of(&self, normals: &Image, files: &Files) -> Option<Arc<Image>> {
+        let open = |name: &String| Image::open(files.get(name).ok()?).ok();
+        let image = self.heights.iter().find_map(open)?;
+        is_same_shape(image.size, normals.size).then(|| Arc::new(image))
+    }
+
+    fn made(self, files: &Files) -> (Recipe, Vec<Finding>) {
         let mut recipe = Recipe::plain();
         if let Some(best) = self.best(Map::BaseColor) {
             recipe.base_color = Color { image: Some(best.image.clone()), factor: [1.0; 3] };
@@ -361,7 +379,8 @@ impl Choice {
         if let Some(best) = self.best(Map::Normal)
             && let Role::Normal(green) = best.role
         {
-            recipe.normal = Normals { image: Some(best.image.clone()), green, scale: 1.0 };
+            let heights = (green == Green::Unsaid).then(|| self.heights_of(&best.image, files)).flatten();
+            recipe.normal = Normals { image: Some(best.image.clone()), green, heights, scale: 1.0 };
         }
         if let Some(best) = self.best(Map::Specular) {
             // Blender's and Disney's: 0.5 is the index of refraction 1.5.
@@ -369,7 +388,12 @@ impl Choice {
         }
         let mut findings = recipe.findings();
         findings.extend(self.candidates.iter().filter_map(|candidate| candidate.passed_over(&recipe)));
-        findings.extend(self.unused);
+        let heights = recipe.normal.heights.as_ref().map(|heights| heights.file());
+        let is_used = |finding: &Finding| match finding {
+            Finding::Unused { file, .. } => Some(file) == heights.as_ref(),
+            _ => false,
+        };
+        findings.extend(self.unused.into_iter().filter(|finding| !is_used(finding)));
         (recipe, findings)
     }
 }
@@ -385,7 +409,7 @@ impl Candidate {
             Role::Roughness | Role::Gloss | Role::Packed => Map::Roughness,
             Role::Metalness => Map::Metalness,
             Role::Normal(_) => Map::Normal,
-            Role::SpecularLevel | Role::Unused(_) => Map::Specular,
+            Role::SpecularLevel | Role::Height | Role::Unused(_) => Map::Specular,
         };
         let taken = recipe.images().find(|(taken, _)| *taken == map).map(|(_, image)| image.file());
         let why = format!("{} is taken for the {map}", taken.unwrap_or_default());

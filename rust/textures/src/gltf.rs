@@ -266,7 +266,7 @@ impl Reader<'_> {
             (scalar(Channel::Green, pbr.roughness_factor), scalar(Channel::Blue, pbr.metallic_factor));
         let slot = material.normal_texture.as_ref();
         let scale = slot.map_or(1.0, |slot| slot.scale);
-        let normal = Normals { image: self.image(slot)?, green: Green::Up, scale };
+        let normal = Normals { image: self.image(slot)?, green: Green::Up, heights: None, scale };
         let specular = self.specular(&material.extensions)?;
         Ok(Recipe { base_color, roughness, metalness, normal, specular })
     }

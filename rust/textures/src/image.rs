@@ -186,7 +186,10 @@ impl Image {
 
     fn decode_jpeg(&self) -> Result<Samples, Error> {
         let data = self.bytes.all()?;
-        // Strict: a file that ends early is no image whose rest is grey.
+        if !ends_after_its_scans(&data) {
+            return Err(self.broken("it ends before the end of the image".to_owned()));
+        }
+        // Strict: damage is an error, and no grey rest of an image.
         let space = if self.is_grey() { ColorSpace::Luma } else { ColorSpace::RGB };
         let options = jpeg_options().set_strict_mode(true).jpeg_set_out_colorspace(space);
         let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&data), options);
@@ -254,6 +257,13 @@ fn png_header(bytes: Bytes) -> Result<Image, Error> {
     let of_texel = channels as u64 * if depth == Depth::Bits16 { 2 } else { 1 };
     let memory = memory(size, of_texel);
     Ok(Image { bytes, format: Format::Png, size, channels, depth, layout: Vec::new(), memory })
+}
+
+/// Whether the marker of a JPEG file's end comes after that of its last scan: within a scan there is none, and a
+/// decoder may take a file that was cut off for one whose last blocks repeat.
+fn ends_after_its_scans(data: &[u8]) -> bool {
+    let last = |marker: [u8; 2]| data.windows(2).rposition(|pair| pair == marker);
+    last([0xff, 0xd9]) > last([0xff, 0xda])
 }
 
 fn jpeg_options() -> DecoderOptions {

@@ -132,7 +132,7 @@ pub(crate) fn size_of(recipe: &Recipe, size: Size) -> [usize; 2] {
 
 /// The image whose decoding takes most, and what it and the maps take in bytes.
 pub(crate) fn memory(recipe: &Recipe, size: [usize; 2]) -> (Option<&Arc<Image>>, u64) {
-    let images = recipe.images().map(|(_, image)| image);
+    let images = recipe.images().map(|(_, image)| image).chain(&recipe.normal.heights);
     let hungriest = images.reduce(|a, b| if b.memory() > a.memory() { b } else { a });
     let result = (size[0] as u64).saturating_mul(size[1] as u64).saturating_mul(TEXEL);
     (hungriest, result.saturating_add(hungriest.map_or(0, |image| image.memory())))
@@ -218,11 +218,16 @@ impl Decoder {
         let flat = [0.0, 0.0, 1.0];
         let Some(image) = &normals.image else { return Ok(vec![flat; self.size[0] * self.size[1]]) };
         let to = self.size;
-        let up = if normals.green == Green::Down { -1.0 } else { 1.0 };
+        let reduced = normals.heights.as_ref().and_then(|heights| self.heights(heights, image));
         let texels = self.texels(Map::Normal, image, Curve::Linear)?;
+        let is_up = reduced.as_ref().map(|(size, heights)| {
+            let slopes = resample(image.size, *size, |i| slope_of(vector_of(texels.color(i))).map(bounded));
+            points_up(*size, heights, &slopes)
+        });
+        let up = if normals.green == Green::Down || is_up == Some(Some(false)) { -1.0 } else { 1.0 };
         let vector = |i: usize| {
-            let [r, g, b] = texels.color(i);
-            [2.0 * r - 1.0, up * (2.0 * g - 1.0), 2.0 * b - 1.0]
+            let [x, y, z] = vector_of(texels.color(i));
+            [x, up * y, z]
         };
         let all = 0..image.texels() as usize;
         let count = |is: &dyn Fn(usize) -> bool| all.clone().filter(|&i| is(i)).count() as u64;
@@ -232,11 +237,24 @@ impl Decoder {
             (Oddity::Steep, count(&|i| vector(i)[2] * STEEPEST < length(vector(i)))),
         ];
         let colored = count(&|i| spread(texels.color(i)) > 0.02);
-        refuse_what_is_no_normal(image, colored, odd[1].1)?;
+        let impossible = count(&|i| is_no_normal(vector(i)));
+        refuse_what_is_no_normal(image, colored, impossible)?;
         let slope = |i: usize| slope_of(vector(i)).map(|s| bounded(s * normals.scale));
         let result = resample(image.size, to, slope).into_iter().map(normal_of).collect();
+        if let (Some(heights), Some(is_up)) = (&normals.heights, is_up) {
+            self.findings.push(Finding::Green { file: image.file(), heights: heights.file(), is_up });
+        }
         self.note(Map::Normal, image, odd);
         Ok(result)
+    }
+
+    /// Heights in a size that is small enough to compare. Those that are broken say nothing.
+    fn heights(&mut self, heights: &Image, normals: &Image) -> Option<([usize; 2], Vec<[f32; 1]>)> {
+        // One image at a time.
+        self.last = None;
+        let size = [0, 1].map(|i| normals.size[i].min(heights.size[i]).min(COMPARED));
+        let texels = heights.decode(Curve::Linear).ok()?;
+        Some((size, resample(heights.size, size, |i| [texels.color(i)[0]])))
     }
 
     fn note(&mut self, map: Map, image: &Image, odd: impl IntoIterator<Item = (Oddity, u64)>) {
@@ -246,17 +264,74 @@ impl Decoder {
     }
 }
 
-/// A height map that is called a normal map is grey, or has vectors of any length.
-fn refuse_what_is_no_normal(image: &Image, colored: u64, odd_lengths: u64) -> Result<(), Error> {
+/// The longest side of heights and normals that are compared.
+const COMPARED: usize = 256;
+
+/// Whether y points up in the image in these slopes of normals, which are −∂h/∂x and −∂h/∂y of the heights h. What is
+/// painted as heights may be depths: that shows along x.
+fn points_up(size: [usize; 2], heights: &[[f32; 1]], slopes: &[[f32; 2]]) -> Option<bool> {
+    let [width, height] = size;
+    let at = |x: usize, y: usize| f64::from(heights[y % height * width + x % width][0]);
+    let (mut across, mut along) = (Correlation::default(), Correlation::default());
+    for y in 0..height {
+        for x in 0..width {
+            let [right, up] = slopes[y * width + x].map(f64::from);
+            across.add(right, at(x + width - 1, y) - at(x + 1, y));
+            // Rows go down.
+            along.add(up, at(x, y + 1) - at(x, y + height - 1));
+        }
+    }
+    let sign = if across.value() < -CLEAR { -1.0 } else { 1.0 };
+    let agreement = sign * along.value();
+    (agreement.abs() > CLEAR).then_some(agreement > 0.0)
+}
+
+/// A correlation that says something.
+const CLEAR: f64 = 0.3;
+
+/// The correlation of numbers whose means are 0, as those of slopes of a closed tile are.
+#[derive(Default)]
+struct Correlation {
+    squares: [f64; 2],
+    products: f64,
+}
+
+impl Correlation {
+    fn add(&mut self, a: f64, b: f64) {
+        if a.is_finite() && b.is_finite() {
+            self.squares[0] += a * a;
+            self.squares[1] += b * b;
+            self.products += a * b;
+        }
+    }
+
+    /// 0 where there is nothing to compare.
+    fn value(&self) -> f64 {
+        let scale = (self.squares[0] * self.squares[1]).sqrt();
+        if scale > 0.0 { self.products / scale } else { 0.0 }
+    }
+}
+
+/// A height map that is called a normal map is grey, or its vectors point anywhere.
+fn refuse_what_is_no_normal(image: &Image, colored: u64, impossible: u64) -> Result<(), Error> {
     let of = image.texels();
     let found = if colored == 0 {
         "all its texels are grey, as in a map of heights".to_owned()
-    } else if odd_lengths > of / 2 {
-        format!("{odd_lengths} of its {of} texels have a length far from 1")
+    } else if impossible > of / 2 {
+        format!("{impossible} of its {of} texels point below the surface, or are much too short or long")
     } else {
         return Ok(());
     };
     Err(Error::NotNormals { path: image.path().to_owned(), found })
+}
+
+/// Averaged normals are shorter than 1: those of ambientCG's Wood047 are 0.84 in the mean.
+fn is_no_normal(vector: [f32; 3]) -> bool {
+    !(0.3..1.5).contains(&length(vector)) || vector[2] <= 0.0
+}
+
+fn vector_of(color: [f32; 3]) -> [f32; 3] {
+    color.map(|x| 2.0 * x - 1.0)
 }
 
 fn length([x, y, z]: [f32; 3]) -> f32 {

@@ -30,6 +30,8 @@ pub(crate) enum Role {
     Packed,
     /// Reflectance at normal incidence, 0.08 where it is white.
     SpecularLevel,
+    /// Heights. No parameter comes from them, but they say which way normals point.
+    Height,
     /// What no parameter comes from, in words.
     Unused(&'static str),
 }
@@ -45,6 +47,7 @@ impl Role {
             Role::Normal(_) => "normals",
             Role::Packed => "roughness and metalness",
             Role::SpecularLevel => "specular level",
+            Role::Height => "heights",
             Role::Unused(what) => what,
         }
     }
@@ -109,11 +112,11 @@ const ROLES: &[(&str, Role)] = &[
     ("specularlevel", Role::SpecularLevel),
     ("specular_level", Role::SpecularLevel),
     ("specular", Role::Unused("a colour at normal incidence, which base colour and metalness say")),
-    ("displacement", Role::Unused("displacement")),
-    ("disp", Role::Unused("displacement")),
-    ("height", Role::Unused("height")),
-    ("bump", Role::Unused("height")),
-    ("depth", Role::Unused("height")),
+    ("displacement", Role::Height),
+    ("disp", Role::Height),
+    ("height", Role::Height),
+    ("bump", Role::Height),
+    ("depth", Role::Height),
     ("ambientocclusion", Role::Unused("ambient occlusion")),
     ("ambient_occlusion", Role::Unused("ambient occlusion")),
     ("occlusion", Role::Unused("ambient occlusion")),
@@ -231,7 +234,7 @@ mod tests {
             ("Wood049_1K-JPG_Roughness", "Wood049", Role::Roughness),
             ("Metal012_2K-PNG_Metalness", "Metal012", Role::Metalness),
             ("Wood049_1K-JPG_AmbientOcclusion", "Wood049", Role::Unused("ambient occlusion")),
-            ("Wood049_1K-JPG_Displacement", "Wood049", Role::Unused("displacement")),
+            ("Wood049_1K-JPG_Displacement", "Wood049", Role::Height),
             ("MetalPlates006_Normal", "MetalPlates006", Role::Normal(Green::Unsaid)),
             ("brown_planks_05_diff_1k", "brown_planks_05", Role::Diffuse),
             ("brown_planks_05_nor_gl_4k", "brown_planks_05", Role::Normal(Green::Up)),
@@ -245,7 +248,7 @@ mod tests {
             ("basecolor", "", Role::BaseColor),
             ("diffuse", "", Role::Diffuse),
             ("metallic", "", Role::Metalness),
-            ("height", "", Role::Unused("height")),
+            ("height", "", Role::Height),
             ("Default_albedo", "Default", Role::BaseColor),
             ("Default_metalRoughness", "Default", Role::Packed),
             ("RustyMetalRoughness", "RustyMetal", Role::Roughness),

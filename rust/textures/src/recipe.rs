@@ -46,6 +46,8 @@ impl Scalar {
 pub(crate) struct Normals {
     pub(crate) image: Option<Arc<Image>>,
     pub(crate) green: Green,
+    /// Heights that say what the name does not.
+    pub(crate) heights: Option<Arc<Image>>,
     pub(crate) scale: f32,
 }
 
@@ -70,7 +72,7 @@ impl Recipe {
             base_color: Color { image: None, factor: [1.0; 3] },
             roughness: Scalar::constant(0.5),
             metalness: Scalar::constant(0.0),
-            normal: Normals { image: None, green: Green::Up, scale: 1.0 },
+            normal: Normals { image: None, green: Green::Up, heights: None, scale: 1.0 },
             specular: Scalar::constant(SPECULAR),
         }
     }
@@ -136,13 +138,11 @@ impl Recipe {
                 || format!("{} everywhere", scalar.scale),
             );
         }
-        let green = |_: &Image| {
-            match self.normal.green {
-                Green::Up => "green points up (GL)",
-                Green::Down => "green points down (DX), turned up",
-                Green::Unsaid => "green taken to point up (GL), which its name does not say",
-            }
-            .to_owned()
+        let green = |_: &Image| match (self.normal.green, &self.normal.heights) {
+            (Green::Up, _) => "green points up (GL)".to_owned(),
+            (Green::Down, _) => "green points down (DX), turned up".to_owned(),
+            (Green::Unsaid, None) => "green taken to point up (GL), which its name does not say".to_owned(),
+            (Green::Unsaid, Some(heights)) => format!("green points as {} says", heights.file()),
         };
         say(&mut findings, Map::Normal, &self.normal.image, green, || "flat everywhere".to_owned());
         let scalar = &self.specular;
@@ -194,7 +194,7 @@ fn too_few(image: &Image, map: Map) -> Error {
 }
 
 /// Whether two images cover the same square of texture coordinates, but for rounding; a single texel covers any.
-fn is_same_shape(a: [usize; 2], b: [usize; 2]) -> bool {
+pub(crate) fn is_same_shape(a: [usize; 2], b: [usize; 2]) -> bool {
     let (across, along) = (a[0] as f64 * b[1] as f64, a[1] as f64 * b[0] as f64);
     a == [1, 1] || b == [1, 1] || (across - along).abs() <= 0.02 * across.max(along)
 }

@@ -34,7 +34,7 @@ fn a_folder_as_ambientcg_packs_it() {
          Wood049_1K-JPG_NormalDX.jpg is not used: Wood049_1K-JPG_NormalGL.jpg is taken for the normals\n\
          Wood049.png is not used: its name is that of no map\n\
          Wood049_1K-JPG_AmbientOcclusion.jpg is not used: ambient occlusion\n\
-         Wood049_1K-JPG_Displacement.jpg is not used: displacement\n"
+         Wood049_1K-JPG_Displacement.jpg is not used: heights\n"
     );
     let maps = folder.maps(Size::Own, MEMORY).unwrap();
     assert!((maps.roughness[0] - 0.2).abs() < 1e-6 && maps.metalness[0] == 0.0);
@@ -52,6 +52,66 @@ fn a_normal_map_of_directx_is_turned_up() {
     assert_eq!(unsaid, up);
     let folder = open(&[color, ("m_Normal.png", flat([1, 1], FLAT))]).unwrap();
     assert!(said(&folder).contains("green taken to point up (GL), which its name does not say"));
+}
+
+/// Waves as heights and as normals whose green channel points up.
+fn waves(is_depth: bool) -> [(&'static str, Vec<u8>); 3] {
+    let angle = |i: usize| std::f64::consts::TAU * i as f64 / 32.0;
+    let height = png([32, 32], move |x, y| {
+        let h = angle(x).sin() + angle(y).cos();
+        [(127.5 + if is_depth { -50.0 } else { 50.0 } * h) as u8]
+    });
+    let normal = png([32, 32], move |x, y| {
+        // y goes up, and rows down.
+        let slope = [-0.5 * angle(x).cos(), -0.5 * angle(y).sin()];
+        let length = (1.0 + slope[0] * slope[0] + slope[1] * slope[1]).sqrt();
+        [slope[0] / length, slope[1] / length, 1.0 / length].map(|n| (127.5 + 127.5 * n).round() as u8)
+    });
+    [("a_Color.png", flat([32, 32], [9; 3])), ("a_Normal.png", normal), ("a_Displacement.png", height)]
+}
+
+#[test]
+fn heights_say_where_green_points_if_the_name_does_not() {
+    let up = maps(&waves(false)).normal[0];
+    let find = |list: &[(&str, Vec<u8>)]| {
+        let maps = maps(list);
+        (maps.normal[32 * 8][1], maps.findings.iter().map(ToString::to_string).collect::<String>())
+    };
+    let (y, text) = find(&waves(false));
+    assert!(text.contains("a_Normal.png points up (GL), by the heights in a_Displacement.png"), "{text}");
+    assert!(y < -0.4 && up[0] < -0.4, "{y} {up:?}");
+    // Depths in place of heights turn both axes.
+    assert_eq!(find(&waves(true)).0, y);
+    // Mirrored images of green that points down.
+    let mut down = waves(false);
+    let [_, normal, _] = waves(false);
+    down[1].1 = turned(&normal.1);
+    let (y_down, text) = find(&down);
+    assert!(text.contains("points down (DX) and is turned up, by the heights in"), "{text}");
+    assert!((y_down - y).abs() < 0.01);
+    // A name that says it needs no heights, and heights that are flat or broken say nothing.
+    let mut named = down.clone();
+    named[1].0 = "a_NormalGL.png";
+    let (y_named, text) = find(&named);
+    assert!(y_named > 0.4 && text.is_empty(), "{text}");
+    let mut flat_heights = down.clone();
+    flat_heights[2].1 = png([32, 32], |_, _| [7]);
+    assert!(
+        find(&flat_heights).1.contains("is taken to point up (GL): nothing is said by a_Displacement.png")
+    );
+    down[2].1.truncate(80);
+    assert!(find(&down).0 > 0.4);
+}
+
+/// A PNG whose green channel is 255 minus what it was.
+fn turned(bytes: &[u8]) -> Vec<u8> {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+    let mut data = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut data).unwrap();
+    png([32, 32], |x, y| {
+        let texel = &data[3 * (32 * y + x)..][..3];
+        [texel[0], 255 - texel[1], texel[2]]
+    })
 }
 
 #[test]

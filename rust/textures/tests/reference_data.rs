@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use glimt_textures::{Folder, MEMORY, Maps, Size};
+use glimt_textures::{Finding, Folder, MEMORY, Maps, Size};
 
 fn set(material: &str, size: Size) -> Maps {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/svbrdf");
@@ -15,6 +15,11 @@ fn set(material: &str, size: Size) -> Maps {
         println!("{finding}");
     }
     maps
+}
+
+/// Both sets' normal maps are named `_Normal`, and are DirectX's by their heights.
+fn is_turned(maps: &Maps) -> bool {
+    maps.findings.iter().any(|finding| matches!(finding, Finding::Green { is_up: Some(false), .. }))
 }
 
 fn mean(values: &[f32]) -> f64 {
@@ -30,6 +35,7 @@ fn reference_data_of_metal_plates() {
     println!("mean roughness {:.3}, mean tilt {:.2}°", mean(&maps.roughness), mean(&tilt));
     assert!((mean(&maps.roughness) - 0.3).abs() < 0.05 && mean(&tilt) < 15.0);
     assert!(mean(&maps.metalness) > 0.9);
+    assert!(is_turned(&maps));
 }
 
 #[test]
@@ -38,6 +44,7 @@ fn reference_data_of_wood() {
     let maps = set("Wood047", Size::LongestSide(256));
     assert_eq!(maps.size, [256, 128]);
     assert!(maps.metalness.iter().all(|&x| x == 0.0));
+    assert!(is_turned(&maps));
     // A tile that closes is flat in the mean.
     let slope = |i: usize| mean(&maps.normal.iter().map(|n| n[i] / n[2]).collect::<Vec<f32>>());
     println!("mean slope {:.4}, {:.4}", slope(0), slope(1));

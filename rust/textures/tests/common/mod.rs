@@ -105,7 +105,7 @@ pub fn maps(list: &[(&str, Vec<u8>)]) -> Maps {
 /// What a folder is refused with, wherever that happens.
 pub fn refusal(list: &[(&str, Vec<u8>)]) -> String {
     let maps = open(list).and_then(|folder| folder.maps(Size::Own, MEMORY));
-    let message = maps.expect_err("it should be refused").to_string();
+    let message = maps.map(|maps| maps.findings).expect_err("it should be refused").to_string();
     assert!(!message.contains('\n'), "one line: {message}");
     message
 }
