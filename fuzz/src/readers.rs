@@ -129,7 +129,8 @@ fn packed_files(mut bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
     while !bytes.is_empty() {
         let length = usize::from(take(&mut bytes, 1)[0]);
         let name = String::from_utf8_lossy(take(&mut bytes, length)).into_owned();
-        let length = take(&mut bytes, 2).iter().rev().fold(0, |length, &byte| length << 8 | usize::from(byte));
+        let length =
+            take(&mut bytes, 2).iter().rev().fold(0, |length, &byte| length << 8 | usize::from(byte));
         files.push((name, take(&mut bytes, length).to_vec()));
     }
     files

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::decode;
 use crate::error::{Error, Few};
 use crate::finding::{Finding, Map};
 use crate::gltf;
@@ -99,7 +100,7 @@ impl Folder {
     /// Bytes that decoding takes at most, the maps among them.
     #[must_use]
     pub fn memory(&self, size: Size) -> u64 {
-        maps::memory(&self.recipe, self.size(size)).1
+        decode::memory(&self.recipe, self.size(size)).1
     }
 
     /// Decodes the maps, if that takes at most `limit` bytes.
@@ -111,13 +112,13 @@ impl Folder {
         if wanted.contains(&0) {
             return Err(Error::NoTexels { path: self.path.clone(), size: wanted });
         }
-        let (image, bytes) = maps::memory(&self.recipe, wanted);
+        let (image, bytes) = decode::memory(&self.recipe, wanted);
         if bytes > limit {
             let path = image.map_or(&*self.path, |image| image.path()).to_owned();
             let size = image.map_or([1, 1], |image| image.size);
             return Err(Error::Memory { path, size, wanted, bytes, limit });
         }
-        maps::decode(&self.recipe, wanted)
+        decode::decode(&self.recipe, wanted)
     }
 }
 

@@ -24,13 +24,16 @@
 //! # }
 //! ```
 
+mod decode;
 pub mod error;
 pub mod finding;
 mod folder;
 mod gltf;
+mod green;
 mod image;
 mod maps;
 mod names;
+mod normal;
 mod recipe;
 mod resample;
 mod source;

@@ -212,10 +212,7 @@ fn several_materials_are_told_apart_by_their_names() {
     assert_eq!(wood.material(), "Wood047");
     let text = said(&wood);
     assert!(text.contains("metalness: no map, 0 everywhere"));
-    assert!(
-        text.contains("MetalPlates006_Color.png is not used: its material is \"MetalPlates006\""),
-        "{text}"
-    );
+    assert!(!text.contains("MetalPlates006"), "other materials are none of its business: {text}");
     let message = Folder::open_material(&folder, "Wood").unwrap_err().to_string();
     assert!(message.contains("no material \"Wood\", only \"MetalPlates006\", \"Wood047\""), "{message}");
 }
@@ -387,14 +384,15 @@ fn an_image_in_the_name_of_a_gltf_image_is_read() {
 
 #[test]
 fn broken_gltf_files_are_refused() {
-    let with = |change: fn(&mut serde_json::Value)| {
+    type Change = fn(&mut serde_json::Value);
+    let with = |change: Change| {
         let mut document = helmet();
         change(&mut document);
         let mut list = helmet_images();
         list.push(("Helmet.gltf", document.to_string().into_bytes()));
         refusal(&list)
     };
-    let cases: [(fn(&mut serde_json::Value), &str); 6] = [
+    let cases: [(Change, &str); 6] = [
         (|d| d["materials"] = serde_json::json!([]), "it has no materials"),
         (
             |d| d["materials"][0] = serde_json::json!({"name": "plain"}),
