@@ -3,10 +3,12 @@
 use std::fmt;
 use std::path::Path;
 
-use exr::image::FlatSamples;
+use exr::block::reader::ChunksReader;
+use exr::compression::Compression;
+use exr::math::Vec2;
 use exr::meta::MetaData;
 use exr::meta::attribute::SampleType;
-use exr::prelude::{ReadChannels, ReadLayers};
+use exr::prelude::f16;
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
@@ -158,7 +160,7 @@ impl Image {
             Samples::Bits8(_) => table(1 << 8, curve),
             Samples::Bits16(_) => table(1 << 16, curve),
             // OpenEXR is linear whatever it holds.
-            Samples::Planes(_) => Vec::new(),
+            Samples::Floats(_) => Vec::new(),
         };
         Ok(Texels { channels: self.channels, samples, table })
     }
@@ -204,25 +206,55 @@ impl Image {
         Ok(Samples::Bits8(samples))
     }
 
+    /// Block by block, since a damaged file may have blocks that lie anywhere.
     fn decode_exr(&self) -> Result<Samples, Error> {
-        let image = exr::image::read::read()
-            .no_deep_data()
-            .largest_resolution_level()
-            .all_channels()
-            .first_valid_layer()
-            .all_attributes()
-            .non_parallel()
-            .from_buffered(self.bytes.open()?)
-            .map_err(|e| self.broken(e.to_string()))?;
-        let mut channels: Vec<Option<FlatSamples>> =
-            image.layer_data.channel_data.list.into_iter().map(|channel| Some(channel.sample_data)).collect();
-        let mut take = |&position: &usize| {
-            let plane = channels.get_mut(position).and_then(Option::take);
-            plane.filter(|plane| plane.len() as u64 == self.texels())
-        };
-        let planes: Option<Vec<FlatSamples>> = self.layout.iter().map(&mut take).collect();
-        planes.map(Samples::Planes).ok_or_else(|| self.broken("it changed while it was read".to_owned()))
+        let failed = |e: exr::error::Error| self.broken(e.to_string());
+        let reader = exr::block::read(self.bytes.open()?, false).map_err(failed)?;
+        let list = reader.headers()[0].channels.clone();
+        let is_largest = |level: Vec2<usize>| level == Vec2(0, 0);
+        let chunks = reader.filter_chunks(false, |_, _, block| is_largest(block.level)).map_err(failed)?;
+        let mut samples = vec![0.0_f32; self.texels() as usize * self.channels];
+        let mut missing = samples.len();
+        let mut blocks = chunks.sequential_decompressor(false);
+        while let Some(block) = blocks.decompress_next_block() {
+            let block = block.map_err(failed)?;
+            for line in block.lines(&list) {
+                let at = line.location;
+                let Some(channel) = self.layout.iter().position(|&position| position == at.channel) else {
+                    continue;
+                };
+                let is_inside = is_largest(at.level)
+                    && at.position.y() < self.size[1]
+                    && at.position.x().saturating_add(at.sample_count) <= self.size[0];
+                if !is_inside || at.sample_count > missing {
+                    return Err(self.broken("it has blocks that overlap, or lie outside".to_owned()));
+                }
+                missing -= at.sample_count;
+                let first = at.position.y() * self.size[0] + at.position.x();
+                let into = samples[first * self.channels + channel..].iter_mut().step_by(self.channels);
+                match list.list[at.channel].sample_type {
+                    SampleType::F16 => fill(into, line.read_samples::<f16>().map(|x| x.map(f32::from))),
+                    SampleType::F32 => fill(into, line.read_samples::<f32>()),
+                    SampleType::U32 => fill(into, line.read_samples::<u32>().map(|x| x.map(|x| x as f32))),
+                }
+                .map_err(failed)?;
+            }
+        }
+        if missing > 0 {
+            return Err(self.broken(format!("{missing} of its {} samples are missing", samples.len())));
+        }
+        Ok(Samples::Floats(samples))
     }
+}
+
+fn fill<'a>(
+    into: impl Iterator<Item = &'a mut f32>,
+    samples: impl Iterator<Item = exr::error::Result<f32>>,
+) -> exr::error::Result<()> {
+    for (into, sample) in into.zip(samples) {
+        *into = sample?;
+    }
+    Ok(())
 }
 
 fn broken(bytes: &Bytes, format: Format, reason: String) -> Error {
@@ -307,8 +339,12 @@ fn exr_header(bytes: Bytes) -> Result<Image, Error> {
     if header.deep {
         return Err(failed("it is deep, expected one sample a pixel".to_owned()));
     }
+    if matches!(header.compression, Compression::B44 | Compression::B44A) {
+        // The decoder's arithmetic overflows: a panic where that is checked.
+        return Err(failed("it is compressed as B44, which is not read; save it with ZIP".to_owned()));
+    }
     let list = &header.channels.list;
-    if list.iter().any(|channel| channel.sampling != exr::math::Vec2(1, 1)) {
+    if list.iter().any(|channel| channel.sampling != Vec2(1, 1)) {
         return Err(failed("its channels have different sizes, expected one sample each a pixel".to_owned()));
     }
     let names: Vec<String> = list.iter().map(|channel| channel.name.to_string()).collect();
@@ -316,10 +352,9 @@ fn exr_header(bytes: Bytes) -> Result<Image, Error> {
         failed(format!("its channels are {}, expected R, G and B, or one", crate::error::Few(&names)))
     })?;
     let size = [header.layer_size.0, header.layer_size.1];
-    let of_texel = list.iter().map(|channel| channel.sample_type.bytes_per_sample() as u64).sum();
     let is_float = layout.iter().any(|&position| list[position].sample_type != SampleType::F16);
     let depth = if is_float { Depth::Float } else { Depth::Half };
-    let (channels, memory) = (layout.len(), memory(size, of_texel));
+    let (channels, memory) = (layout.len(), memory(size, 4 * layout.len() as u64));
     Ok(Image { bytes, format: Format::Exr, size, channels, depth, layout, memory })
 }
 
@@ -374,7 +409,7 @@ enum Samples {
     Bits8(Vec<u8>),
     /// In the machine's order of bytes.
     Bits16(Vec<u8>),
-    Planes(Vec<FlatSamples>),
+    Floats(Vec<f32>),
 }
 
 impl Texels {
@@ -385,7 +420,7 @@ impl Texels {
             Samples::Bits16(bytes) => {
                 self.table[u16::from_ne_bytes([bytes[2 * at], bytes[2 * at + 1]]) as usize]
             }
-            Samples::Planes(planes) => planes[channel].value_by_flat_index(texel).to_f32(),
+            Samples::Floats(floats) => floats[at],
         }
     }
 
@@ -409,7 +444,7 @@ impl Texels {
             Samples::Bits16(bytes) => {
                 f32::from(u16::from_ne_bytes([bytes[2 * at], bytes[2 * at + 1]])) / 65535.0
             }
-            Samples::Planes(_) => self.sample(texel, self.channels - 1),
+            Samples::Floats(floats) => floats[at],
         }
     }
 }

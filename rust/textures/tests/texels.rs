@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{exr, flat, floats, grey_jpeg, halves, jpeg, maps, open, png, png_that_claims, png16, refusal};
+use common::{
+    encoded_exr, exr, flat, floats, grey_jpeg, halves, jpeg, maps, open, png, png_that_claims, png16, refusal,
+};
 use glimt_textures::{Finding, Folder, MEMORY, Maps, Oddity, Size};
 use proptest::prelude::*;
 
@@ -194,6 +196,29 @@ fn memory_is_compared_with_the_limit_before_it_is_taken() {
     assert_eq!(bytes, 64 * 64 * (40 + 3));
     assert!(folder.maps(Size::Own, bytes - 1).is_err() && folder.maps(Size::Own, bytes).is_ok());
     assert!(folder.memory(Size::Exactly([usize::MAX; 2])) == u64::MAX);
+}
+
+#[test]
+fn every_lossless_compression_of_openexr_is_read_and_b44_refused() {
+    use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
+    let size = [37, 21];
+    let values: Vec<f32> = (0..37 * 21).map(|i| (i % 101) as f32 / 100.0).collect();
+    let with = |compression, blocks| {
+        let encoding = Encoding { compression, blocks, line_order: LineOrder::Increasing };
+        let channels = [("R", floats(&values)), ("G", halves(&values)), ("B", floats(&values))];
+        [("a_Color.exr", encoded_exr(encoding, size, &channels))]
+    };
+    use Compression::{PIZ, RLE, Uncompressed, ZIP1, ZIP16};
+    for compression in [Uncompressed, RLE, ZIP1, ZIP16, PIZ] {
+        for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(16, 16))] {
+            let maps = maps(&with(compression, blocks));
+            for (texel, value) in maps.base_color.iter().zip(&values) {
+                assert!(texel[0] == *value && texel[2] == *value && (texel[1] - value).abs() < 1e-3);
+            }
+        }
+    }
+    let message = refusal(&with(Compression::B44, Blocks::ScanLines));
+    assert!(message.ends_with("it is compressed as B44, which is not read; save it with ZIP"), "{message}");
 }
 
 #[test]

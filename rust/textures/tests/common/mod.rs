@@ -4,7 +4,7 @@
 
 use std::io::Cursor;
 
-use exr::prelude::{AnyChannel, AnyChannels, FlatSamples, WritableImage};
+use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, WritableImage};
 use glimt_textures::{Error, Folder, MEMORY, Maps, Size};
 
 pub type Files = Vec<(String, Vec<u8>)>;
@@ -70,8 +70,14 @@ pub fn grey_jpeg(size: [usize; 2], grey: u8) -> Vec<u8> {
 
 /// An OpenEXR file of these channels.
 pub fn exr(size: [usize; 2], channels: &[(&str, FlatSamples)]) -> Vec<u8> {
+    encoded_exr(Encoding::default(), size, channels)
+}
+
+/// An OpenEXR file of any compression, in scan lines or tiles.
+pub fn encoded_exr(encoding: Encoding, size: [usize; 2], channels: &[(&str, FlatSamples)]) -> Vec<u8> {
     let channels = channels.iter().map(|(name, samples)| AnyChannel::new(*name, samples.clone())).collect();
-    let image = exr::image::Image::from_channels((size[0], size[1]), AnyChannels::sort(channels));
+    let mut image = exr::image::Image::from_channels((size[0], size[1]), AnyChannels::sort(channels));
+    image.layer_data.encoding = encoding;
     let mut file = Cursor::new(Vec::new());
     image.write().to_buffered(&mut file).unwrap();
     file.into_inner()
