@@ -19,8 +19,8 @@
 //! Directions are unit vectors in a local frame with the normal +z, and point away from the surface. `light` is Mitsuba's
 //! `wo` and pbrt's `wi`, `view` is Mitsuba's `wi` and pbrt's `wo`.
 //!
-//! The folders are floors, and each imports only from those before it: `simd`, `brdf`, `directions` and `microfacet`,
-//! `kernels`, `sampling`, `models`, `material`, `library`.
+//! The folders are floors, and each imports only from those before it: `simd`, `brdf`, `directions`, `microfacet` and
+//! `surface`, `kernels`, `sampling`, `models`, `material`, `library`.
 
 pub mod brdf;
 pub mod directions;
@@ -33,6 +33,7 @@ pub mod models;
 pub mod oddity;
 pub mod sampling;
 pub mod simd;
+pub mod surface;
 
 pub use brdf::{Brdf, Sample, SampleBrdf, is_lit};
 pub use error::{Error, Invalid, Unmixable};

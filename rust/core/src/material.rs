@@ -14,10 +14,12 @@ use crate::brdf::{Brdf, Sample, SampleBrdf};
 use crate::error::{Invalid, Unmixable};
 use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
+use crate::models::maps::Facet;
 use crate::models::{Model, for_models};
 use crate::oddity::Oddity;
 use crate::sampling::{Plan, Sampler, SamplerChoice};
 use crate::simd::{LANES, Lane3};
+use crate::surface::Place;
 
 /// Makes what goes over all models from the list of their modules and types. `$d` is a dollar sign, for the
 /// macros that are made.
@@ -194,6 +196,18 @@ impl Material {
         });
     }
 
+    /// What the material reflects at a place: a surface what it is there, any other material itself.
+    #[must_use]
+    pub fn at(&self, place: &Place) -> At<'_> {
+        with_model!(&self.model, model => Model::at(model, place)).map_or(At::Everywhere(self), At::Place)
+    }
+
+    /// Whether it is not the same everywhere. Without a place such a surface is what it is from afar.
+    #[must_use]
+    pub fn is_surface(&self) -> bool {
+        matches!(self.at(&Place::far()), At::Place(_))
+    }
+
     /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {
@@ -336,6 +350,61 @@ impl SampleBrdf for Material {
 
     fn sample(&self, view: Vec3, u: Vec3) -> Sample {
         self.sampler().sample(self, view, u)
+    }
+}
+
+/// What a material reflects at a place, see [`Material::at`].
+#[derive(Clone, Copy, Debug)]
+pub enum At<'a> {
+    /// What it reflects at every place.
+    Everywhere(&'a Material),
+    /// What it reflects there.
+    Place(Facet),
+}
+
+impl Brdf for At<'_> {
+    fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
+        match self {
+            At::Everywhere(material) => material.eval(light, view),
+            At::Place(facet) => facet.eval(light, view),
+        }
+    }
+
+    fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
+        match self {
+            At::Everywhere(material) => material.eval_tile(light, view, out),
+            At::Place(facet) => facet.eval_tile(light, view, out),
+        }
+    }
+
+    fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        match self {
+            At::Everywhere(material) => material.eval_packet(light, view, out),
+            At::Place(facet) => facet.eval_packet(light, view, out),
+        }
+    }
+
+    fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
+        match self {
+            At::Everywhere(material) => material.eval_batch(light, view, out),
+            At::Place(facet) => facet.eval_batch(light, view, out),
+        }
+    }
+}
+
+impl SampleBrdf for At<'_> {
+    fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
+        match self {
+            At::Everywhere(material) => material.pdf(light, view),
+            At::Place(facet) => facet.pdf(light, view),
+        }
+    }
+
+    fn sample(&self, view: Vec3, u: Vec3) -> Sample {
+        match self {
+            At::Everywhere(material) => material.sample(view, u),
+            At::Place(facet) => facet.sample(view, u),
+        }
     }
 }
 

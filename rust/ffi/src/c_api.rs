@@ -39,6 +39,8 @@ pub enum glimt_kind {
     GLIMT_KIND_ANALYTIC = 6,
     /// Features in tables on hemispheres and a network, as Dou et al.
     GLIMT_KIND_SPHERICAL = 7,
+    /// Texture maps: a surface that is another at every place.
+    GLIMT_KIND_MAPS = 8,
 }
 use glimt_kind::*;
 
@@ -190,7 +192,7 @@ pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index
 }
 
 /// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
-/// "nbrdf", "factor", "analytic" or "spherical", and "tabulated" for a measurement; valid until the library
+/// "nbrdf", "factor", "analytic", "spherical" or "maps", and "tabulated" for a measurement; valid until the library
 /// is closed. NULL for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
@@ -291,6 +293,7 @@ impl From<Kind> for glimt_kind {
             Kind::Tabulated => GLIMT_KIND_TABULATED,
             Kind::Analytic => GLIMT_KIND_ANALYTIC,
             Kind::Spherical => GLIMT_KIND_SPHERICAL,
+            Kind::Maps => GLIMT_KIND_MAPS,
         }
     }
 }

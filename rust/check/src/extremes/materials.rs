@@ -11,6 +11,7 @@ use glimt_core::models::analytic::{Analytic, Parameters, Specular};
 use glimt_core::models::factor::{self, Factor, Factors, Interpolation, Product, Variant};
 use glimt_core::models::ggx::Ggx;
 use glimt_core::models::hybrid::{self, Composition, Form, Hybrid, MAX_BOUND};
+use glimt_core::models::maps::{Filter, MAX_SLOPE, Maps, Texel};
 use glimt_core::models::nbrdf::{self, Nbrdf};
 use glimt_core::models::neural::{self, Neural, Shared};
 use glimt_core::models::spherical::pixelation::Pixelation;
@@ -18,6 +19,7 @@ use glimt_core::models::spherical::store::Store;
 use glimt_core::models::spherical::tables::{self, Grids, Layout};
 use glimt_core::models::spherical::{self, Features, Spherical};
 use glimt_core::models::tabulated::Tabulated;
+use glimt_core::surface::Wrap;
 
 use super::pairs::direction;
 use super::{Case, Extreme, measurements};
@@ -128,6 +130,31 @@ impl Weights {
 
     fn bound(self) -> f32 {
         if self == Weights::Ordinary { 2.0 } else { MAX_BOUND }
+    }
+}
+
+/// A texel, and a tile whose facets are as different as facets can be; without a place, both are seen from afar.
+impl Extreme for Maps {
+    const BUDGET: f64 = 0.0;
+
+    fn cases() -> Vec<Case> {
+        let plain = Texel { kd: [0.3; 3], f0: [0.04; 3], alpha: 0.3, slope: [0.0; 2] };
+        let steep = Texel {
+            kd: [0.0, 0.5, 1.0],
+            f0: [0.0, 0.5, 1.0],
+            alpha: MIN_ALPHA,
+            slope: [MAX_SLOPE, -MAX_SLOPE],
+        };
+        let maps = |name: &str, texels: &[Texel], filter| {
+            let maps = Maps::new(1, texels.iter().copied(), Wrap::Repeat, filter).expect("rows of one texel");
+            Case::new(name.into(), maps.into())
+        };
+        vec![
+            maps("one texel", &[plain], Filter::Moments),
+            maps("a steep texel", &[steep], Filter::Average),
+            maps("steep and flat, averaged", &[steep, plain, plain], Filter::Average),
+            maps("steep and flat, by moments", &[steep, plain, plain], Filter::Moments),
+        ]
     }
 }
 

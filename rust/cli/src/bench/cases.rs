@@ -12,12 +12,14 @@ use glimt_core::models::analytic::{Analytic, Parameters, Specular};
 use glimt_core::models::factor::{self, DIFF_BINS, Factor, Factors, HALF_BINS, Product};
 use glimt_core::models::ggx::Ggx;
 use glimt_core::models::hybrid::{Form, Hybrid};
+use glimt_core::models::maps::{Filter, Maps, Texel};
 use glimt_core::models::nbrdf::Nbrdf;
 use glimt_core::models::neural::{FEATURES, FRAME_OUTPUTS, Neural, Shared};
 use glimt_core::models::spherical::pixelation::Pixelation;
 use glimt_core::models::spherical::store::Store;
 use glimt_core::models::spherical::tables::{self, Grids, Interpolation, Layout};
 use glimt_core::models::spherical::{Features, Spherical};
+use glimt_core::surface::Wrap;
 use glimt_core::{AnyModel, Invalid, Kind, Material};
 use glimt_fit::Net;
 use glimt_measured::{Measured, Merl, merl};
@@ -79,6 +81,7 @@ pub fn cases(kind: Kind, nets: &[Net]) -> Vec<Result<Case>> {
         Kind::Factor => vec![case(factor())],
         Kind::Tabulated => vec![tabulated()],
         Kind::Analytic => vec![case(analytic())],
+        Kind::Maps => vec![case(maps())],
         Kind::Spherical => nets.iter().map(|&net| case(spherical(net))).collect(),
     }
 }
@@ -98,6 +101,12 @@ fn hybrid(net: Net) -> Result<Hybrid, Invalid> {
 }
 
 /// The variant and interpolation that `glimt fit` chooses.
+/// A surface of one texel: what is timed is its evaluation, and no place is fetched.
+fn maps() -> Result<Maps, Invalid> {
+    let texel = Texel { kd: MICROFACET.kd, f0: [0.04, 0.08, 0.2], alpha: 0.2, slope: [0.1, 0.0] };
+    Maps::new(1, [texel], Wrap::Repeat, Filter::Moments)
+}
+
 fn factor() -> Result<Factor, Invalid> {
     let bin = |i: usize, bins: usize| (i as f32 + 0.5) / bins as f32;
     let ndf = std::array::from_fn(|i| (-20.0 * bin(i, HALF_BINS).powi(4)).exp());

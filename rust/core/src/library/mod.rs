@@ -19,6 +19,7 @@
 //! | `azimuth` | (materials, 3, 180) | factor, naive |
 //! | `bivariate` | (materials, 90, 90, 3) | factor, bivariate |
 //! | `diffuse`, `specular` | (materials, 3), (materials, parameters of the lobe) | analytic |
+//! | `maps` | (materials, height, width, 9): k_d, F₀, α, slope along u and v; rows from the bottom | maps |
 //!
 //! What a spherical library holds says [`spherical`].
 
@@ -48,6 +49,7 @@ mod header;
 mod names;
 mod opened;
 mod spherical;
+mod surfaces;
 
 pub use names::nearest;
 

@@ -5,6 +5,7 @@ pub mod edit;
 pub mod factor;
 pub mod ggx;
 pub mod hybrid;
+pub mod maps;
 pub mod nbrdf;
 pub mod neural;
 pub mod spherical;
@@ -18,6 +19,7 @@ use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
 use crate::sampling::Plan;
 use crate::simd::{LANES, Lane3};
+use crate::surface::Place;
 
 /// The one list of models: hands the module and the type of each to the macro `$make`. `$d` is a dollar sign, for
 /// macros that are made.
@@ -32,6 +34,7 @@ macro_rules! for_models {
             tabulated::Tabulated,
             analytic::Analytic,
             spherical::Spherical,
+            maps::Maps,
         }
     };
 }
@@ -97,6 +100,11 @@ pub trait Model: Brdf + Clone {
     /// f_r in every lane, of that lane's material; the first [shares tiles with](Model::shares_tiles_with) each.
     fn eval_mixed_tile(materials: &[&Self; LANES], light: &Lane3, view: &Lane3, out: &mut Lane3) {
         materials[0].eval_tile(light, view, out);
+    }
+
+    /// What a surface reflects at a place; `None` for a model that is the same everywhere.
+    fn at(&self, _place: &Place) -> Option<maps::Facet> {
+        None
     }
 
     /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.
