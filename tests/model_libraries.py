@@ -11,6 +11,9 @@ MICROFACET = {
 }
 BRUSHED = {"brushed": ([0.05, 0.06, 0.08], [3.0, 2.6, 2.4], [0.15, 0.45])}
 
+# Of the random numbers of a library.
+SEED = 7
+
 # Every kind of model, and of the hybrid every choice of inputs and of composition.
 LIBRARIES = {
     "ggx": {"kind": "ggx"},
@@ -39,10 +42,11 @@ LIBRARIES = {
     "factor_bivariate": {"kind": "factor", "form": {"variant": "bivariate", "interpolation": "linear"}},
     "analytic_ward": {"kind": "analytic", "form": {"lobe": "ward"}},
     "analytic_gamma": {"kind": "analytic", "form": {"lobe": "shifted-gamma"}},
+    "maps": {"kind": "maps", "form": {"wrap": "repeat", "filter": "moments"}},
 }
 
 # Those that Dr.Jit can differentiate; the others are calls into the core.
-UNTRACED = ("spherical", "factor", "analytic")
+UNTRACED = ("spherical", "factor", "analytic", "maps")
 TRACED = [name for name, library in LIBRARIES.items() if library["kind"] not in UNTRACED]
 
 # Two small hemispheres of features, of lights and of views.
@@ -127,6 +131,19 @@ def analytic_tensors(lobe):
     return {"diffuse": diffuse, "specular": np.hstack([scale, np.tile(np.repeat(numbers, 3), (3, 1))])}
 
 
+def maps_tensors(rng, width=7, height=5):
+    """Texture maps whose numbers vary about those of the three materials, and whose normals are inclined."""
+
+    def map_of(values):
+        values = np.array(values)[:, None, None]
+        return values * rng.uniform(0.5, 1, (len(MICROFACET), height, width, values.shape[-1]))
+
+    kd, eta, alpha = zip(*MICROFACET.values())
+    f0 = ((np.array(eta) - 1) / (np.array(eta) + 1)) ** 2
+    slopes = rng.uniform(-0.4, 0.4, (len(MICROFACET), height, width, 2))
+    return {"maps": np.concatenate([map_of(kd), map_of(f0), map_of(alpha), slopes], axis=-1)}
+
+
 def write_library(
     path,
     kind,
@@ -137,7 +154,7 @@ def write_library(
     form=None,
 ):
     """A library of the given kind with random, but tame, materials."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(SEED)
     materials = dict(MICROFACET, **BRUSHED) if anisotropic else dict(MICROFACET)
     if anisotropic:
         materials = {name: (kd, eta, (alpha * 2)[:2]) for name, (kd, eta, alpha) in materials.items()}
@@ -172,6 +189,8 @@ def write_library(
         tensors = factor_tensors(form["variant"])
     if kind == "analytic":
         tensors = analytic_tensors(form["lobe"])
+    if kind == "maps":
+        tensors = maps_tensors(rng)
     header = {
         "format": 1,
         "kind": kind,

@@ -154,7 +154,7 @@ def test_mixes_lie_between_two_materials(libraries):
 
 
 def test_models_without_an_analytic_part(libraries):
-    for kind in ("nbrdf", "factor", "analytic_ward"):
+    for kind in ("nbrdf", "factor", "analytic_ward", "maps"):
         material = glimt.load(libraries[kind])["orange"]
         assert material.kd is material.eta is material.alpha is None
         assert material.latent.shape == (0,)

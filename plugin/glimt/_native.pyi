@@ -55,6 +55,14 @@ class Material:
     ``light`` to where the energy comes from, ``view`` to where it goes. Arrays (n, 3), or (3,) for one;
     one direction goes with many. float64 is converted to float32. The work is shared among all cores,
     with the GIL released.
+
+    A surface (``is_surface``) is another material at every place. ``uv`` says where, (n, 2), or (2,) for one:
+    u to the right, v up, a tile is [0, 1) x [0, 1). ``footprint`` says how much is seen around it, as the
+    standard deviation of a Gaussian in uv: one number, (n,), or the two axes (2, 2), (n, 2, 2) that a round
+    Gaussian becomes, each a row. Without it a point is seen. A pixel sees about half of what uv changes by
+    to the next. Without ``uv`` a surface is what it is from afar: its far field. Where any argument has n
+    rows, so has the result. The numbers of ``uv`` and ``footprint`` mean nothing to a material that is no
+    surface.
     """
 
     @property
@@ -63,6 +71,9 @@ class Material:
     @property
     def kind(self) -> str:
         """Model or measured format, as in ``Library.kind``."""
+    @property
+    def is_surface(self) -> bool:
+        """Whether the material is another at every place of a surface."""
     @property
     def oddities(self) -> list[str]:
         """What is odd about the file of a measurement, and what was made of it; empty for models."""
@@ -100,14 +111,32 @@ class Material:
 
         "lobes", "table", "table:paper" or "table:VIEWSxRINGSxSECTORS".
         """
-    def eval(self, light: ArrayLike, view: ArrayLike) -> Float32:
+    def eval(
+        self,
+        light: ArrayLike,
+        view: ArrayLike,
+        uv: ArrayLike | None = None,
+        footprint: ArrayLike | None = None,
+    ) -> Float32:
         """f_r(light, view) in 1/sr, linear RGB, without the cosine: (n, 3), or (3,) for one pair.
 
         Below the horizon, and for NaN, f is 0.
         """
-    def pdf(self, light: ArrayLike, view: ArrayLike) -> Float32 | float:
+    def pdf(
+        self,
+        light: ArrayLike,
+        view: ArrayLike,
+        uv: ArrayLike | None = None,
+        footprint: ArrayLike | None = None,
+    ) -> Float32 | float:
         """Density in 1/sr with which ``sample`` chooses ``light`` for ``view``: (n,), or a float."""
-    def sample(self, view: ArrayLike, u: ArrayLike) -> tuple[Float32, Float32 | float, Float32]:
+    def sample(
+        self,
+        view: ArrayLike,
+        u: ArrayLike,
+        uv: ArrayLike | None = None,
+        footprint: ArrayLike | None = None,
+    ) -> tuple[Float32, Float32 | float, Float32]:
         """Light directions for ``view`` from random numbers ``u`` in [0, 1).
 
         Returns (light, pdf, weight), where weight = f cos(theta_light) / pdf. A sample that failed has

@@ -208,6 +208,27 @@ impl Material {
         matches!(self.at(&Place::far()), At::Place(_))
     }
 
+    /// [`Brdf::eval_batch`] with a place for every pair. What is the same everywhere asks for none.
+    ///
+    /// # Panics
+    /// If the lengths differ.
+    pub fn eval_batch_at(
+        &self,
+        places: impl ExactSizeIterator<Item = Place>,
+        light: &[Vec3],
+        view: &[Vec3],
+        out: &mut [Vec3],
+    ) {
+        assert!(places.len() == out.len(), "as many places as results");
+        if !self.is_surface() {
+            return self.eval_batch(light, view, out);
+        }
+        assert!(light.len() == out.len() && view.len() == out.len(), "as many lights as views and results");
+        for (((place, &light), &view), f) in places.zip(light).zip(view).zip(out) {
+            *f = self.at(&place).eval(light, view);
+        }
+    }
+
     /// See [`Model::microfacet`].
     #[must_use]
     pub fn microfacet(&self) -> Option<&Microfacet> {

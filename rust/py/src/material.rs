@@ -3,14 +3,16 @@
 use std::sync::Arc;
 
 use glimt_core::library::{Entry, Origin};
+use glimt_core::material::At;
 use glimt_core::sampling::{Sampler, SamplerChoice};
+use glimt_core::surface::Place;
 use glimt_core::{Brdf, Invalid, SampleBrdf, Vec3};
 use glimt_files::Source;
 use numpy::{PyArray1, ToPyArray};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::arrays::{Directions, Triples, aligned};
+use crate::arrays::{Directions, Places, Triples, aligned};
 use crate::error;
 use crate::parallel;
 use crate::pickle::{self, SourceFile, State};
@@ -71,6 +73,11 @@ impl Material {
     fn changed(&self, material: glimt_core::Material) -> Material {
         Material { name: self.name.clone(), kind: self.kind, material, file: self.file.clone() }
     }
+
+    /// The material at a place; without one, the material itself.
+    fn at(&self, place: Option<Place>) -> At<'_> {
+        place.map_or(At::Everywhere(&self.material), |place| self.material.at(&place))
+    }
 }
 
 #[pymethods]
@@ -85,6 +92,12 @@ impl Material {
     #[getter]
     fn kind(&self) -> &'static str {
         self.kind
+    }
+
+    /// Whether the material is another at every place of a surface. Without a place it is what it is from afar.
+    #[getter]
+    fn is_surface(&self) -> bool {
+        self.material.is_surface()
     }
 
     /// What is odd about the file that a measurement was read from, and what was made of it, in words.
@@ -161,52 +174,79 @@ impl Material {
     ///
     /// Unit vectors (n, 3) or (3,) in the local frame with the normal +z, pointing away from the
     /// surface; one direction goes with many. Below the horizon, and for NaN, f is 0.
-    fn eval<'py>(&self, light: &Bound<'py, PyAny>, view: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    ///
+    /// `uv` (n, 2) or (2,) are places on a surface, and `footprint` is how much is seen around them: a standard
+    /// deviation in uv, (n,) of them, or two axes (2, 2), (n, 2, 2). A material that is no surface ignores both.
+    #[pyo3(signature = (light, view, uv=None, footprint=None))]
+    fn eval<'py>(
+        &self,
+        light: &Bound<'py, PyAny>,
+        view: &Bound<'py, PyAny>,
+        uv: Option<&Bound<'py, PyAny>>,
+        footprint: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let py = light.py();
         let (light, view) = (Directions::new("light", light)?, Directions::new("view", view)?);
-        let mut f = Triples::new(aligned(&light, &view)?);
+        let places = Places::new(uv, footprint)?;
+        let mut f = Triples::new(aligned(&light, &view, &places)?);
         py.detach(|| {
             parallel::chunks(f.as_mut(), |first, f| {
                 let n = f.len();
-                self.material.eval_batch(&light.range(first, n), &view.range(first, n), f);
+                let (light, view) = (light.range(first, n), view.range(first, n));
+                match places.range(first, n) {
+                    Some(places) => self.material.eval_batch_at(places, &light, &view, f),
+                    None => self.material.eval_batch(&light, &view, f),
+                }
             });
         });
         f.into_numpy(py)
     }
 
-    /// Density in 1/sr with which `sample` chooses `light` for `view`. Shapes as for `eval`.
-    fn pdf<'py>(&self, light: &Bound<'py, PyAny>, view: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    /// Density in 1/sr with which `sample` chooses `light` for `view`. Shapes and places as for `eval`.
+    #[pyo3(signature = (light, view, uv=None, footprint=None))]
+    fn pdf<'py>(
+        &self,
+        light: &Bound<'py, PyAny>,
+        view: &Bound<'py, PyAny>,
+        uv: Option<&Bound<'py, PyAny>>,
+        footprint: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let py = light.py();
         let (light, view) = (Directions::new("light", light)?, Directions::new("view", view)?);
-        let shape = aligned(&light, &view)?;
+        let places = Places::new(uv, footprint)?;
+        let shape = aligned(&light, &view, &places)?;
         let mut pdf = vec![0.0; shape.unwrap_or(1)];
         py.detach(|| {
             parallel::chunks(&mut pdf, |first, pdf| {
-                for (i, pdf) in pdf.iter_mut().enumerate() {
-                    *pdf = self.material.pdf(light.get(first + i), view.get(first + i));
+                for (i, pdf) in (first..).zip(pdf) {
+                    *pdf = self.at(places.get(i)).pdf(light.get(i), view.get(i));
                 }
             });
         });
         numbers(py, shape, &pdf)
     }
 
-    /// Light directions for `view` from random numbers `u` in [0, 1), both (n, 3) or (3,).
+    /// Light directions for `view` from random numbers `u` in [0, 1), both (n, 3) or (3,). Places as for `eval`.
     ///
     /// Returns (light, pdf, weight), where weight = f cos(theta_light) / pdf. A sample that failed
     /// has pdf 0 and weight 0.
+    #[pyo3(signature = (view, u, uv=None, footprint=None))]
     fn sample<'py>(
         &self,
         view: &Bound<'py, PyAny>,
         u: &Bound<'py, PyAny>,
+        uv: Option<&Bound<'py, PyAny>>,
+        footprint: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let py = view.py();
         let (view, u) = (Directions::new("view", view)?, Directions::new("u", u)?);
-        let shape = aligned(&view, &u)?;
+        let places = Places::new(uv, footprint)?;
+        let shape = aligned(&view, &u, &places)?;
         let mut samples = vec![glimt_core::Sample::FAILED; shape.unwrap_or(1)];
         py.detach(|| {
             parallel::chunks(&mut samples, |first, samples| {
-                for (i, sample) in samples.iter_mut().enumerate() {
-                    *sample = self.material.sample(view.get(first + i), u.get(first + i));
+                for (i, sample) in (first..).zip(samples) {
+                    *sample = self.at(places.get(i)).sample(view.get(i), u.get(i));
                 }
             });
         });
