@@ -9,7 +9,7 @@ import textwrap
 
 import pytest
 from conftest import ROOT
-from model_libraries import write_library
+from model_libraries import LIBRARIES, write_library
 
 INCLUDE = ROOT / "cpp" / "include"
 EVALUATE = ROOT / "cpp" / "examples" / "evaluate.c"
@@ -26,6 +26,13 @@ def run(*command):
 
 def test_interface_keeps_its_promises(cpp_build, library):
     result = run(cpp_build / "interface", library, "metal")
+    assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize(("name", "is_surface"), [("maps", True), ("hybrid", False), ("factor", False)])
+def test_places_keep_their_promises(cpp_build, name, is_surface, tmp_path):
+    path = write_library(tmp_path / f"{name}.safetensors", **LIBRARIES[name])
+    result = run(cpp_build / "surfaces", path, "metal", int(is_surface))
     assert result.returncode == 0, result.stderr
 
 

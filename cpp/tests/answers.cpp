@@ -1,11 +1,11 @@
 // Writes what a material answers, as raw float32, for the tests that compare languages.
 //
-//     answers LIBRARY MATERIAL PAIRS U ANSWERS
+//     answers LIBRARY MATERIAL PAIRS U PLACES ANSWERS
 //
-// PAIRS holds (light xyz, view xyz) and U three numbers for as many pairs. ANSWERS receives, one after
-// the other for all pairs: f, the same from the batch call, pdf, the same from the batch call, samples
-// for (view, u), and the same from the batch call. The first half of the pairs is evaluated in a second
-// thread.
+// PAIRS holds (light xyz, view xyz), and U three and PLACES six numbers for as many pairs. ANSWERS receives,
+// one after the other for all pairs: f, the same from the batch call, pdf, the same from the batch call,
+// samples for (view, u), and the same from the batch call; then, at the places, f, the same from the batch
+// call, pdf, and samples. The first half of the pairs is evaluated in a second thread.
 
 #include <cstdio>
 #include <fstream>
@@ -30,6 +30,13 @@ std::vector<glimt::Vec3> vectors(const std::vector<float> &numbers, std::size_t 
     return vectors;
 }
 
+std::vector<glimt::Place> places(const std::vector<float> &numbers) {
+    std::vector<glimt::Place> places;
+    for (const float *p = numbers.data(), *end = p + numbers.size(); p + 5 < end; p += 6)
+        places.push_back({p[0], p[1], p[2], p[3], p[4], p[5]});
+    return places;
+}
+
 template <typename T> void append(std::ofstream &file, const std::vector<T> &values) {
     file.write(reinterpret_cast<const char *>(values.data()),
                static_cast<std::streamsize>(values.size() * sizeof(T)));
@@ -39,16 +46,21 @@ void answer(const glimt::Material &material, char **argv) {
     const std::vector<float> pairs = read(argv[3]);
     const std::vector<glimt::Vec3> light = vectors(pairs, 0, 6), view = vectors(pairs, 3, 6);
     const std::vector<glimt::Vec3> u = vectors(read(argv[4]), 0, 3);
+    const std::vector<glimt::Place> place = places(read(argv[5]));
     const std::size_t n = light.size();
 
-    std::vector<glimt::Vec3> f(n), f_batch(n);
-    std::vector<float> pdf(n), pdf_batch(n);
-    std::vector<glimt::Sample> samples(n), samples_batch(n);
+    std::vector<glimt::Vec3> f(n), f_batch(n), f_at(n), f_at_batch(n);
+    std::vector<float> pdf(n), pdf_batch(n), pdf_at(n);
+    std::vector<glimt::Sample> samples(n), samples_batch(n), samples_at(n);
     const auto one_by_one = [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) {
             f[i] = material.eval(light[i], view[i]);
             pdf[i] = material.pdf(light[i], view[i]);
             samples[i] = material.sample(view[i], u[i]);
+            const glimt::At at = material.at(place[i]);
+            f_at[i] = at.eval(light[i], view[i]);
+            pdf_at[i] = at.pdf(light[i], view[i]);
+            samples_at[i] = at.sample(view[i], u[i]);
         }
     };
     std::thread first_half(one_by_one, 0, n / 2);
@@ -57,21 +69,26 @@ void answer(const glimt::Material &material, char **argv) {
     material.eval(n, light.data(), view.data(), f_batch.data());
     material.pdf(n, light.data(), view.data(), pdf_batch.data());
     material.sample(n, view.data(), u.data(), samples_batch.data());
+    material.eval(n, place.data(), light.data(), view.data(), f_at_batch.data());
 
-    std::ofstream file(argv[5], std::ios::binary);
+    std::ofstream file(argv[6], std::ios::binary);
     append(file, f);
     append(file, f_batch);
     append(file, pdf);
     append(file, pdf_batch);
     append(file, samples);
     append(file, samples_batch);
+    append(file, f_at);
+    append(file, f_at_batch);
+    append(file, pdf_at);
+    append(file, samples_at);
 }
 
 } // namespace
 
 int main(int argc, char **argv) {
-    if (argc != 6) {
-        std::fprintf(stderr, "usage: %s LIBRARY MATERIAL PAIRS U ANSWERS\n", argv[0]);
+    if (argc != 7) {
+        std::fprintf(stderr, "usage: %s LIBRARY MATERIAL PAIRS U PLACES ANSWERS\n", argv[0]);
         return 2;
     }
     try {

@@ -90,6 +90,15 @@ void edits(const glimt::Material &material) {
     }
 }
 
+void places(const glimt::Material &material) {
+    const glimt::Vec3 light{-0.6f, 0, 0.8f}, view{0.6f, 0, 0.8f}, u{0.25f, 0.5f, 0.75f};
+    CHECK(!material.is_surface());
+    const glimt::At at = material.at({0.1f, 0.3f, 0, 0, 0, 0});
+    CHECK(at.eval(light, view) == material.eval(light, view));
+    CHECK(at.pdf(light, view) == material.pdf(light, view));
+    CHECK(at.sample(view, u).pdf == material.sample(view, u).pdf);
+}
+
 void mixes(const glimt::Library &library, const std::string &name) {
     const glimt::Material one = library.material(name);
     const glimt::Vec3 light{-0.6f, 0, 0.8f}, view{0.6f, 0, 0.8f};
@@ -136,11 +145,13 @@ int main(int argc, char **argv) {
     library.reset();
     null_arguments(material.get());
     edits(material);
+    places(material);
     directions_that_carry_nothing(material);
 
     const glimt::Material taken = std::move(material);
     CHECK(taken.name() == argv[2]);
     // NOLINTNEXTLINE(bugprone-use-after-move): what a material that was moved from does is promised.
     CHECK(material.eval({0, 0, 1}, {0, 0, 1}) == glimt::Vec3{});
+    CHECK(material.at({}).eval({0, 0, 1}, {0, 0, 1}) == glimt::Vec3{});
     return 0;
 }

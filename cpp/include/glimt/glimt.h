@@ -93,6 +93,10 @@ typedef enum glimt_kind {
    * Features in tables on hemispheres and a network, as Dou et al.
    */
   GLIMT_KIND_SPHERICAL = 7,
+  /**
+   * Texture maps: a surface that is another at every place.
+   */
+  GLIMT_KIND_MAPS = 8,
 } glimt_kind;
 
 /**
@@ -118,6 +122,10 @@ typedef struct glimt_material_info {
    * The model.
    */
   enum glimt_kind kind;
+  /**
+   * Whether the material is a surface: another at every place, for which glimt_eval_at() and its like ask.
+   */
+  bool is_surface;
   /**
    * Whether the model has an analytic part. If not, kd, eta and alpha are 0.
    */
@@ -161,6 +169,40 @@ typedef struct glimt_light_sample {
    */
   float weight[3];
 } glimt_light_sample;
+
+/**
+ * A place on a surface, and how much of the surface around it is seen: a Gaussian.
+ *
+ * The axes of the footprint are what uv changes by over one standard deviation along each of two directions on the
+ * screen. A pixel sees about half of what uv changes by from it to the next. Four zeros are a point, and infinity is
+ * the whole surface; a number that is NaN counts as 0. A tile of the texture is [0, 1)^2, u to the right and v up.
+ */
+typedef struct glimt_place {
+  /**
+   * Texture coordinate to the right.
+   */
+  float u;
+  /**
+   * Texture coordinate up.
+   */
+  float v;
+  /**
+   * u of the first axis of the footprint.
+   */
+  float dudx;
+  /**
+   * v of the first axis.
+   */
+  float dvdx;
+  /**
+   * u of the second axis.
+   */
+  float dudy;
+  /**
+   * v of the second axis.
+   */
+  float dvdy;
+} glimt_place;
 
 #ifdef __cplusplus
 extern "C" {
@@ -212,7 +254,7 @@ const char *glimt_library_name(const struct glimt_library *library, size_t index
 
 /**
  * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
- * "nbrdf", "factor", "analytic" or "spherical", and "tabulated" for a measurement; valid until the library
+ * "nbrdf", "factor", "analytic", "spherical" or "maps", and "tabulated" for a measurement; valid until the library
  * is closed. NULL for NULL.
  */
 const char *glimt_library_kind(const struct glimt_library *library);
@@ -286,6 +328,9 @@ enum glimt_status glimt_material_edit(const struct glimt_material *material,
  * either side, and where a direction holds a NaN, f is 0. f is finite and never negative.
  * Allocates no memory. Not guaranteed: f(light, view) = f(view, light).
  *
+ * A surface (is_surface of glimt_material_info) is what it is from afar here and in every function that takes no
+ * place: glimt_eval_at() asks for one.
+ *
  * \param f  Receives three numbers.
  *
  * \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
@@ -329,6 +374,55 @@ enum glimt_status glimt_sample(const struct glimt_material *material,
                                struct glimt_light_sample *sample);
 
 /**
+ * glimt_eval() at a place of a surface. A material that is no surface is the same at every place, and place is
+ * not looked at but for NULL.
+ *
+ * Allocates no memory.
+ *
+ * \param place  Where, and how much is seen around it.
+ * \param f      Receives three numbers.
+ *
+ * \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+ */
+enum glimt_status glimt_eval_at(const struct glimt_material *material,
+                                const struct glimt_place *place,
+                                const float *light,
+                                const float *view,
+                                float *f);
+
+/**
+ * glimt_pdf() at a place: the density with which glimt_sample_at() chooses light there.
+ *
+ * Allocates no memory for a surface, and what glimt_pdf() does for any other material.
+ *
+ * \param place  As for glimt_eval_at().
+ * \param pdf    Receives one number.
+ *
+ * \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+ */
+enum glimt_status glimt_pdf_at(const struct glimt_material *material,
+                               const struct glimt_place *place,
+                               const float *light,
+                               const float *view,
+                               float *pdf);
+
+/**
+ * glimt_sample() at a place. Memory as glimt_pdf_at().
+ *
+ * \param place   As for glimt_eval_at().
+ * \param view    Unit vector, as for glimt_eval().
+ * \param u       Three random numbers in [0, 1).
+ * \param sample  Receives the direction, its density and its weight.
+ *
+ * \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+ */
+enum glimt_status glimt_sample_at(const struct glimt_material *material,
+                                  const struct glimt_place *place,
+                                  const float *view,
+                                  const float *u,
+                                  struct glimt_light_sample *sample);
+
+/**
  * glimt_eval() for n pairs. Much faster than n calls.
  *
  * f differs from that of glimt_eval() by rounding only: by no more than 16 ULP of f's largest channel, as one pair's
@@ -347,6 +441,26 @@ enum glimt_status glimt_eval_batch(const struct glimt_material *material,
                                    const float *light,
                                    const float *view,
                                    float *f);
+
+/**
+ * glimt_eval_at() for n pairs, each at a place of its own. A surface gives the bits of glimt_eval_at(), any other
+ * material those of glimt_eval_batch().
+ *
+ * Runs in the calling thread. Allocates no memory.
+ *
+ * \param place  n places.
+ * \param light  n directions, one after the other: 3 n numbers.
+ * \param view   As many directions.
+ * \param f      Receives 3 n numbers; must not overlap with place, light or view.
+ *
+ * \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+ */
+enum glimt_status glimt_eval_at_batch(const struct glimt_material *material,
+                                      size_t n,
+                                      const struct glimt_place *place,
+                                      const float *light,
+                                      const float *view,
+                                      float *f);
 
 /**
  * glimt_pdf() for n pairs.

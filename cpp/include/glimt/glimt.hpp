@@ -35,6 +35,9 @@ static_assert(sizeof(Vec3) == 3 * sizeof(float), "arrays of Vec3 are handed to C
 /// A sampled light direction: light[3], pdf, weight[3]. Failed samples have pdf 0 and weight 0.
 using Sample = glimt_light_sample;
 
+/// A place on a surface: u, v, and the two axes of what is seen around it in uv, all 0 for a point.
+using Place = glimt_place;
+
 /// The message names the file, what was found and what was expected.
 class Error : public std::runtime_error {
 public:
@@ -67,6 +70,37 @@ struct Edit {
     std::optional<std::array<float, 2>> alpha;
 };
 
+/// A material at a place, by Material::at(). Valid as long as the material.
+class At {
+public:
+    At(const glimt_material *material, const Place &place) noexcept : material_(material), place_(place) {}
+
+    /// f_r(light, view) in 1/sr, without the cosine.
+    Vec3 eval(const Vec3 &light, const Vec3 &view) const noexcept {
+        Vec3 f{};
+        glimt_eval_at(material_, &place_, light.data(), view.data(), f.data());
+        return f;
+    }
+
+    /// Density in 1/sr with which sample() chooses light.
+    float pdf(const Vec3 &light, const Vec3 &view) const noexcept {
+        float pdf = 0;
+        glimt_pdf_at(material_, &place_, light.data(), view.data(), &pdf);
+        return pdf;
+    }
+
+    /// A light direction for a view direction, from three random numbers in [0, 1).
+    Sample sample(const Vec3 &view, const Vec3 &u) const noexcept {
+        Sample sample{};
+        glimt_sample_at(material_, &place_, view.data(), u.data(), &sample);
+        return sample;
+    }
+
+private:
+    const glimt_material *material_;
+    Place place_;
+};
+
 /// A material. Independent of the library that it came from; any number of threads may use it at
 /// once. One that was moved from evaluates to 0.
 class Material {
@@ -79,6 +113,8 @@ public:
 
     std::string name() const { return info().name; }
     glimt_kind kind() const { return info().kind; }
+    /// Whether it is another at every place. Without one, as in eval(), a surface is what it is from afar.
+    bool is_surface() const { return info().is_surface; }
     std::vector<float> latent() const {
         const glimt_material_info all = info();
         return std::vector<float>(all.latent, all.latent + all.latent_size);
@@ -99,6 +135,11 @@ public:
                                           edit.alpha ? edit.alpha->data() : nullptr, &edited));
         return Material(edited);
     }
+
+    /// What the material is at a place: material.at(place).eval(light, view). A material that is no surface is
+    /// the same at every place.
+    At at(const Place &place) const & noexcept { return At(get(), place); }
+    At at(const Place &place) && = delete;
 
     /// f_r(light, view) in 1/sr, without the cosine.
     Vec3 eval(const Vec3 &light, const Vec3 &view) const noexcept {
@@ -125,6 +166,12 @@ public:
     void eval(std::size_t n, const Vec3 *light, const Vec3 *view, Vec3 *f) const noexcept {
         if (n > 0)
             glimt_eval_batch(get(), n, light->data(), view->data(), f->data());
+    }
+
+    /// at().eval() for n pairs, each at a place of its own.
+    void eval(std::size_t n, const Place *place, const Vec3 *light, const Vec3 *view, Vec3 *f) const noexcept {
+        if (n > 0)
+            glimt_eval_at_batch(get(), n, place, light->data(), view->data(), f->data());
     }
 
     /// pdf() for n pairs.

@@ -11,6 +11,7 @@ use std::fmt::Display;
 use std::ptr;
 
 use glimt_core::microfacet::Microfacet;
+use glimt_core::surface::{Footprint, Place};
 use glimt_core::{Brdf, Error, Kind, Library, Material, Sample, SampleBrdf, Vec3};
 use glimt_files::Source;
 
@@ -66,6 +67,8 @@ pub struct glimt_material_info {
     pub name: *const c_char,
     /// The model.
     pub kind: glimt_kind,
+    /// Whether the material is a surface: another at every place, for which glimt_eval_at() and its like ask.
+    pub is_surface: bool,
     /// Whether the model has an analytic part. If not, kd, eta and alpha are 0.
     pub has_microfacet: bool,
     /// Diffuse albedo, linear RGB, in [0, 1].
@@ -95,6 +98,34 @@ pub struct glimt_light_sample {
 impl From<Sample> for glimt_light_sample {
     fn from(Sample { light, pdf, weight }: Sample) -> Self {
         glimt_light_sample { light: light.to_array(), pdf, weight: weight.to_array() }
+    }
+}
+
+/// A place on a surface, and how much of the surface around it is seen: a Gaussian.
+///
+/// The axes of the footprint are what uv changes by over one standard deviation along each of two directions on the
+/// screen. A pixel sees about half of what uv changes by from it to the next. Four zeros are a point, and infinity is
+/// the whole surface; a number that is NaN counts as 0. A tile of the texture is [0, 1)^2, u to the right and v up.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct glimt_place {
+    /// Texture coordinate to the right.
+    pub u: f32,
+    /// Texture coordinate up.
+    pub v: f32,
+    /// u of the first axis of the footprint.
+    pub dudx: f32,
+    /// v of the first axis.
+    pub dvdx: f32,
+    /// u of the second axis.
+    pub dudy: f32,
+    /// v of the second axis.
+    pub dvdy: f32,
+}
+
+impl From<glimt_place> for Place {
+    fn from(glimt_place { u, v, dudx, dvdx, dudy, dvdy }: glimt_place) -> Place {
+        Place { uv: [u, v], footprint: Footprint::Axes([[dudx, dvdx], [dudy, dvdy]]) }
     }
 }
 
@@ -271,6 +302,7 @@ pub unsafe extern "C" fn glimt_material_get_info(
         let answer = glimt_material_info {
             name: material.name.as_ptr(),
             kind: material.material.kind().into(),
+            is_surface: material.material.is_surface(),
             has_microfacet: microfacet.is_some(),
             kd: microfacet.map_or([0.0; 3], |m| m.kd),
             eta: microfacet.map_or([0.0; 3], |m| m.eta),
@@ -336,6 +368,11 @@ pub unsafe extern "C" fn glimt_material_edit(
     })
 }
 
+/// A place, as C hands it in.
+fn at_place(place: *const glimt_place) -> Result<Place, glimt_status> {
+    In(place).get("place").map(|&place| place.into())
+}
+
 /// A direction or three random numbers, as C hands them in.
 fn vector(numbers: *const f32, argument: &str) -> Result<Vec3, glimt_status> {
     In(numbers).arrays().get(argument).map(|&numbers| Vec3::from_array(numbers))
@@ -352,6 +389,9 @@ fn vectors<'a>(numbers: *const f32, n: usize, argument: &str) -> Result<&'a [Vec
 /// surface: light to where the energy comes from, view to where it goes. Below the horizon on
 /// either side, and where a direction holds a NaN, f is 0. f is finite and never negative.
 /// Allocates no memory. Not guaranteed: f(light, view) = f(view, light).
+///
+/// A surface (is_surface of glimt_material_info) is what it is from afar here and in every function that takes no
+/// place: glimt_eval_at() asks for one.
 ///
 /// \param f  Receives three numbers.
 ///
@@ -417,6 +457,77 @@ pub unsafe extern "C" fn glimt_sample(
     })
 }
 
+/// glimt_eval() at a place of a surface. A material that is no surface is the same at every place, and place is
+/// not looked at but for NULL.
+///
+/// Allocates no memory.
+///
+/// \param place  Where, and how much is seen around it.
+/// \param f      Receives three numbers.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_eval_at(
+    material: *const glimt_material,
+    place: *const glimt_place,
+    light: *const f32,
+    view: *const f32,
+    f: *mut f32,
+) -> glimt_status {
+    call(|| {
+        let material = &In(material).get("material")?.material;
+        let at = material.at(&at_place(place)?);
+        let value = at.eval(vector(light, "light")?, vector(view, "view")?);
+        Out(f.cast::<[f32; 3]>()).set(value.to_array(), "f")
+    })
+}
+
+/// glimt_pdf() at a place: the density with which glimt_sample_at() chooses light there.
+///
+/// Allocates no memory for a surface, and what glimt_pdf() does for any other material.
+///
+/// \param place  As for glimt_eval_at().
+/// \param pdf    Receives one number.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_pdf_at(
+    material: *const glimt_material,
+    place: *const glimt_place,
+    light: *const f32,
+    view: *const f32,
+    pdf: *mut f32,
+) -> glimt_status {
+    call(|| {
+        let material = &In(material).get("material")?.material;
+        let at = material.at(&at_place(place)?);
+        Out(pdf).set(at.pdf(vector(light, "light")?, vector(view, "view")?), "pdf")
+    })
+}
+
+/// glimt_sample() at a place. Memory as glimt_pdf_at().
+///
+/// \param place   As for glimt_eval_at().
+/// \param view    Unit vector, as for glimt_eval().
+/// \param u       Three random numbers in [0, 1).
+/// \param sample  Receives the direction, its density and its weight.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_sample_at(
+    material: *const glimt_material,
+    place: *const glimt_place,
+    view: *const f32,
+    u: *const f32,
+    sample: *mut glimt_light_sample,
+) -> glimt_status {
+    call(|| {
+        let material = &In(material).get("material")?.material;
+        let at = material.at(&at_place(place)?);
+        Out(sample).set(at.sample(vector(view, "view")?, vector(u, "u")?).into(), "sample")
+    })
+}
+
 /// glimt_eval() for n pairs. Much faster than n calls.
 ///
 /// f differs from that of glimt_eval() by rounding only: by no more than 16 ULP of f's largest channel, as one pair's
@@ -444,6 +555,38 @@ pub unsafe extern "C" fn glimt_eval_batch(
         let material = &In(material).get("material")?.material;
         let f: &mut [Vec3] = bytemuck::cast_slice_mut(Out(f.cast::<[f32; 3]>()).slice(n, "f")?);
         material.eval_batch(vectors(light, n, "light")?, vectors(view, n, "view")?, f);
+        Ok(())
+    })
+}
+
+/// glimt_eval_at() for n pairs, each at a place of its own. A surface gives the bits of glimt_eval_at(), any other
+/// material those of glimt_eval_batch().
+///
+/// Runs in the calling thread. Allocates no memory.
+///
+/// \param place  n places.
+/// \param light  n directions, one after the other: 3 n numbers.
+/// \param view   As many directions.
+/// \param f      Receives 3 n numbers; must not overlap with place, light or view.
+///
+/// \return GLIMT_OK or GLIMT_ERROR_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn glimt_eval_at_batch(
+    material: *const glimt_material,
+    n: usize,
+    place: *const glimt_place,
+    light: *const f32,
+    view: *const f32,
+    f: *mut f32,
+) -> glimt_status {
+    call(|| {
+        if n == 0 {
+            return Ok(());
+        }
+        let material = &In(material).get("material")?.material;
+        let places = In(place).slice(n, "place")?.iter().map(|&place| place.into());
+        let f: &mut [Vec3] = bytemuck::cast_slice_mut(Out(f.cast::<[f32; 3]>()).slice(n, "f")?);
+        material.eval_batch_at(places, vectors(light, n, "light")?, vectors(view, n, "view")?, f);
         Ok(())
     })
 }

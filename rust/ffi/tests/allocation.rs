@@ -38,6 +38,7 @@ fn nothing_is_allocated_after_loading() {
     let light = [-0.6f32, 0.0, 0.8].repeat(N);
     let view = [0.48f32, 0.36, 0.8].repeat(N);
     let (mut f, mut pdf) = (vec![0.0f32; 3 * N], vec![0.0f32; N]);
+    let places = [glimt_place { u: 0.1, v: 0.7, dudx: 0.1, dvdx: 0.0, dudy: 0.0, dvdy: 0.01 }; N];
     let mut samples = vec![glimt_light_sample { light: [0.0; 3], pdf: 0.0, weight: [0.0; 3] }; N];
     for case in materials_of_every_kind() {
         let kind = case.material.kind();
@@ -51,7 +52,7 @@ fn nothing_is_allocated_after_loading() {
             assert_eq!(opened, glimt_status::GLIMT_OK);
             glimt_library_close(library);
 
-            let (l, v) = (light.as_ptr(), view.as_ptr());
+            let (l, v, p) = (light.as_ptr(), view.as_ptr(), places.as_ptr());
             // The first density makes the sampler.
             assert_eq!(glimt_pdf(material, l, v, pdf.as_mut_ptr()), glimt_status::GLIMT_OK);
             let before = ALLOCATIONS.load(Ordering::Relaxed);
@@ -64,9 +65,13 @@ fn nothing_is_allocated_after_loading() {
                 // The lights are no random numbers: one below 0 fails, which allocates nothing either.
                 glimt_sample_batch(material, N, v, l, samples.as_mut_ptr()),
                 glimt_sample_batch(material, N, v, v, samples.as_mut_ptr()),
+                glimt_eval_at(material, p, l, v, f.as_mut_ptr()),
+                glimt_pdf_at(material, p, l, v, pdf.as_mut_ptr()),
+                glimt_sample_at(material, p, v, l, samples.as_mut_ptr()),
+                glimt_eval_at_batch(material, N, p, l, v, f.as_mut_ptr()),
             ];
             let allocated = ALLOCATIONS.load(Ordering::Relaxed) - before;
-            assert_eq!(answers, [glimt_status::GLIMT_OK; 7]);
+            assert_eq!(answers, [glimt_status::GLIMT_OK; 11]);
             assert_eq!(allocated, 0, "{kind}");
             glimt_material_release(material);
         }

@@ -108,6 +108,75 @@ fn extreme_inputs_have_the_bits_of_the_core() {
     }
 }
 
+/// Places and footprints of any size, and such as are no numbers.
+fn places() -> Vec<glimt_place> {
+    let numbers = [0.0, 0.3, -2.7, 1e-30, 1e5, f32::MAX, f32::INFINITY, f32::NEG_INFINITY, f32::NAN];
+    let n = numbers.len();
+    let place = |i: usize| {
+        let [u, v, dudx, dvdx, dudy, dvdy] = [1, 9, 5, 13, 3, 29].map(|k| numbers[(i * k + i / n) % n]);
+        glimt_place { u, v, dudx, dvdx, dudy, dvdy }
+    };
+    (0..n * n).map(place).collect()
+}
+
+fn check_at(held: &Held, case: &Case, place: glimt_place, (light, view): extremes::Pair) {
+    let (mut f, mut density, mut sample) = ([f32::NAN; 3], f32::NAN, FAILED);
+    let (l, v) = (light.to_array(), view.to_array());
+    // SAFETY: a place, and three floats each.
+    unsafe {
+        assert_eq!(glimt_eval_at(held.0, &place, l.as_ptr(), v.as_ptr(), f.as_mut_ptr()), GLIMT_OK);
+        assert_eq!(glimt_pdf_at(held.0, &place, l.as_ptr(), v.as_ptr(), &mut density), GLIMT_OK);
+        assert_eq!(glimt_sample_at(held.0, &place, v.as_ptr(), l.as_ptr(), &mut sample), GLIMT_OK);
+    }
+    let at = case.material.at(&place.into());
+    let where_ = format!("{}: light {light}, view {view}, {place:?}", case.name);
+    assert_eq!(bits(&f), bits(&at.eval(light, view).to_array()), "{where_}");
+    assert_eq!(density, at.pdf(light, view), "{where_}");
+    assert_eq!(bits(&flat(&sample)), bits(&flat(&at.sample(view, light).into())), "{where_}");
+    let numbers = [&f[..], &[density], &flat(&sample)].concat();
+    assert!(numbers.iter().all(|x| x.is_finite()), "{where_}: {numbers:?}");
+}
+
+/// A surface answers a batch as it does one by one, and all other materials as they do without places.
+fn check_batch_at(held: &Held, case: &Case, places: &[glimt_place], pairs: &[extremes::Pair]) {
+    let (light, view): (Vec<Vec3>, Vec<Vec3>) = pairs.iter().copied().unzip();
+    let flat = |v: &[Vec3]| v.iter().flat_map(|v| v.to_array()).collect::<Vec<f32>>();
+    let (l, v, mut f) = (flat(&light), flat(&view), vec![f32::NAN; 3 * pairs.len()]);
+    let (p, n) = (places.as_ptr(), pairs.len());
+    // SAFETY: the arrays hold n places and directions.
+    let status = unsafe { glimt_eval_at_batch(held.0, n, p, l.as_ptr(), v.as_ptr(), f.as_mut_ptr()) };
+    assert_eq!(status, GLIMT_OK);
+    let alone = eval_batch(&case.material, pairs);
+    for (i, &(light, view)) in pairs.iter().enumerate() {
+        let at = case.material.at(&places[i].into());
+        let expected = if case.material.is_surface() { at.eval(light, view) } else { alone[i] };
+        assert_eq!(bits(&f[3 * i..][..3]), bits(&expected.to_array()), "{}, pair {i}", case.name);
+    }
+}
+
+#[test]
+fn extreme_places_have_the_bits_of_the_core() {
+    let folder = tempfile::tempdir().unwrap();
+    let (places, families) = (places(), extremes::families());
+    let files = extremes::save_files(folder.path()).unwrap().into_iter();
+    let mut surfaces = 0;
+    for (path, case) in files.filter(|(_, case)| case.sampler.is_empty()) {
+        let held = Held::open(&path);
+        surfaces += u32::from(case.material.is_surface());
+        for family in &families {
+            // Of other materials a few pairs show that the place does not matter.
+            let step = if case.material.is_surface() { 1 } else { 37 };
+            let pairs: Vec<extremes::Pair> = family.pairs.iter().copied().step_by(step).collect();
+            let at: Vec<glimt_place> = (0..pairs.len()).map(|i| places[i % places.len()]).collect();
+            for (&place, &pair) in at.iter().zip(&pairs) {
+                check_at(&held, &case, place, pair);
+            }
+            check_batch_at(&held, &case, &at, &pairs);
+        }
+    }
+    assert!(surfaces > 1);
+}
+
 #[test]
 fn an_enormous_batch_has_the_bits_of_small_ones() {
     const N: usize = 10_000_000;

@@ -262,10 +262,11 @@ impl Kernel for Facet {
             ]
         };
         let f = self.terms.splat(zero).eval(above(l), above(v));
-        let cosines = Real::select(faces, l[2] / light[2], zero);
+        // A grazing light on an inclined facet is beyond float32 where the surface's own cosine vanishes. Infinity
+        // times the 0 of a black facet would be no number.
+        let cosines = Real::select(faces, (l[2] / light[2]).at_most(f32::MAX), zero);
         let mut seen = f;
         for c in 0..3 {
-            // A grazing light on an inclined facet is beyond float32 where the surface's own cosine vanishes.
             seen[c] = (f[c] * cosines).at_most(f32::MAX);
         }
         seen
@@ -429,6 +430,16 @@ pub(crate) mod tests {
         };
         let [average, moments] = [Filter::Average, Filter::Moments].map(sum);
         assert!(moments < 0.8 * average, "{moments} against {average}");
+    }
+
+    /// The facet faces a light whose cosine on the surface is next to nothing.
+    #[test]
+    fn a_black_channel_stays_black_at_the_horizon() {
+        let black = Texel { kd: [0.0, 0.5, 0.5], f0: [0.0, 0.5, 0.0], alpha: 0.1, slope: [20.0, -20.0] };
+        let maps = Maps::new(1, [black], Wrap::Clamp, Filter::Average).unwrap();
+        let grazing = Vec3::new(0.0, 1.0, 1e-42);
+        let f = maps.eval(grazing, grazing);
+        assert!(f.is_finite() && f.x == 0.0 && f.y > 0.0, "{f}");
     }
 
     #[test]
