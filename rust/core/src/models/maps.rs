@@ -214,11 +214,12 @@ impl Facet {
     }
 
     /// A direction in the facet's frame.
-    fn to_facet(&self, v: Vec3) -> Vec3 {
+    fn within(&self, v: Vec3) -> Vec3 {
         Vec3::from(self.frame.map(|axis| axis.dot(v)))
     }
 
-    fn from_facet(&self, v: Vec3) -> Vec3 {
+    /// A direction in the surface's frame, of one in the facet's.
+    fn outside(&self, v: Vec3) -> Vec3 {
         self.frame[0] * v.x + self.frame[1] * v.y + self.frame[2] * v.z
     }
 
@@ -261,7 +262,7 @@ impl Kernel for Facet {
                 Real::select(faces, w[2], up[2]),
             ]
         };
-        let f = self.terms.splat(zero).eval(above(l), above(v));
+        let f = self.terms.eval(above(l), above(v));
         // A grazing light on an inclined facet is beyond float32 where the surface's own cosine vanishes. Infinity
         // times the 0 of a black facet would be no number.
         let cosines = Real::select(faces, (l[2] / light[2]).at_most(f32::MAX), zero);
@@ -289,7 +290,7 @@ impl SampleBrdf for Facet {
         if !is_lit(light, view) {
             return 0.0;
         }
-        let [l, v] = [self.to_facet(light), self.to_facet(view)];
+        let [l, v] = [self.within(light), self.within(view)];
         let share = self.specular_share(v);
         let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
         share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
@@ -300,18 +301,15 @@ impl SampleBrdf for Facet {
         if !is_lit(view, view) || !u.is_finite() {
             return Sample::FAILED;
         }
-        let v = self.to_facet(view);
+        let v = self.within(view);
         let light = if u.x < self.specular_share(v) {
-            self.from_facet(sample_visible_normal(self.alpha(), v, u.y, u.z))
+            self.outside(sample_visible_normal(self.alpha(), v, u.y, u.z))
         } else {
             sample_cosine(u.y, u.z)
         };
         let pdf = self.pdf(light, view);
-        if !(pdf > 0.0) {
-            return Sample::FAILED;
-        }
         let weight = self.eval(light, view) * (light.z / pdf);
-        if weight.is_finite() { Sample { light, pdf, weight } } else { Sample::FAILED }
+        if pdf > 0.0 && weight.is_finite() { Sample { light, pdf, weight } } else { Sample::FAILED }
     }
 }
 
