@@ -93,6 +93,11 @@ impl Texel {
         let Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] } = self;
         [r, g, b, f, g0, b0, alpha, x, y, x * x, x * y, y * y]
     }
+
+    fn from_row(row: &[f32; CHANNELS]) -> Texel {
+        let [r, g, b, f, g0, b0, alpha, x, y, ..] = *row;
+        Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] }
+    }
 }
 
 /// Texture maps of one material.
@@ -156,8 +161,13 @@ impl Maps {
     /// If there is none.
     #[must_use]
     pub fn texel(&self, column: usize, row: usize) -> Texel {
-        let [r, g, b, f, g0, b0, alpha, x, y, ..] = self.pyramid.texels()[row * self.size()[0] + column];
-        Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] }
+        Texel::from_row(&self.pyramid.texels()[row * self.size()[0] + column])
+    }
+
+    /// The mean of all texels. What of the slopes varies is not in its α, but in that of the surface from afar.
+    #[must_use]
+    pub fn mean(&self) -> Texel {
+        Texel::from_row(self.pyramid.mean())
     }
 
     /// Width and height in texels.
@@ -169,6 +179,12 @@ impl Maps {
     /// Width and height of every level, from the finest.
     pub fn sizes(&self) -> impl Iterator<Item = [usize; 2]> {
         self.pyramid.layout().sizes()
+    }
+
+    /// Bytes of all levels in memory.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.sizes().map(|[width, height]| width * height * CHANNELS * size_of::<f32>()).sum()
     }
 
     /// What lies beyond the edges.
