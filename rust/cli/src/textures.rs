@@ -87,6 +87,8 @@ pub struct Opened {
     pub source: Source,
     /// What was taken, filled in, resized and odd.
     pub findings: Vec<Finding>,
+    /// The files that were taken.
+    pub files: Vec<PathBuf>,
 }
 
 /// Whether a path is a folder of texture maps, or a file that names or is one; if not, it is for [`inputs::open`].
@@ -123,7 +125,8 @@ pub fn open(
         material: surface.into(),
         origin: origin(&folder, command)?,
     };
-    Ok(Opened { source: Source::Library(Library::new(path, vec![entry])?), findings })
+    let files = folder.files().into_iter().map(Path::to_owned).collect();
+    Ok(Opened { source: Source::Library(Library::new(path, vec![entry])?), findings, files })
 }
 
 /// Smaller maps take less memory, unless it is the image itself that takes too much.

@@ -138,6 +138,28 @@ impl Maps {
         maps.with_precision(precision)
     }
 
+    /// The same maps with other mips.
+    #[must_use]
+    pub fn filtered(&self, filter: Filter) -> Maps {
+        Maps { filter, far: Facet::of(*self.pyramid.mean(), filter), ..self.clone() }
+    }
+
+    /// The maps of a level as maps of their own; α takes the variance of the slopes below it. Of a level that there is
+    /// not, the coarsest.
+    #[must_use]
+    pub fn coarser(&self, level: usize) -> Maps {
+        let layout = self.pyramid.layout();
+        let level = level.min(layout.sizes().len() - 1);
+        let [width, _] = layout.sizes().nth(level).expect("a level that there is");
+        let rows = &self.pyramid.all_texels()[layout.texels_of(level)];
+        let texels = rows.iter().map(|&[r, g, b, f, g0, b0, alpha, x, y, xx, _, yy]| {
+            let variance = (xx - x * x).max(0.0) + (yy - y * y).max(0.0);
+            Texel { kd: [r, g, b], f0: [f, g0, b0], alpha: rougher(alpha, 0.5 * variance), slope: [x, y] }
+        });
+        let maps = Maps::new(width, texels, self.wrap(), self.filter).expect("a level has texels");
+        maps.with_precision(self.precision)
+    }
+
     /// What files keep, which numbers read from one are already rounded to.
     pub(crate) fn with_precision(self, precision: Precision) -> Maps {
         Maps { precision, ..self }

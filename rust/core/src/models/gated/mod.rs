@@ -26,7 +26,7 @@ use crate::error::Invalid;
 use crate::kernels::Kernel;
 use crate::kernels::network::{Layer, Network, Rows};
 use crate::kernels::placed::{self, PlacedKernel};
-use crate::models::hybrid::Composition;
+use crate::models::hybrid::{Composition, check_bound};
 use crate::models::maps::{Facet, Maps};
 use crate::models::{Local, Model};
 use crate::simd::math::exp;
@@ -179,6 +179,7 @@ impl Gated {
                 )));
             }
         }
+        check_bound(parts.bound)?;
         if !parts.numbers().all(|x| x.is_finite()) {
             return Err(
                 "a latent code, a texture, a frame or a warp holds a number that is not finite".into()
@@ -627,6 +628,6 @@ pub(crate) mod tests {
         assert!(refused(Parts { base: Base::None, ..parts() }).contains("expected 3 of 16"));
         assert!(refused(Parts { angles: Angles::Vectors, ..parts() }).contains("expected 6 of 24"));
         assert!(refused(Parts { half: texture(1, 0), ..parts() }).contains("25 columns, expected 200"));
-        assert!(refused(Parts { bound: f32::NAN, ..parts() }).contains("not finite"));
+        assert!(refused(Parts { bound: f32::NAN, ..parts() }).contains("bound"));
     }
 }
