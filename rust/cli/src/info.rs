@@ -194,6 +194,7 @@ impl SurfaceInfo {
         };
         let filter = match self.filter {
             Filter::Average => "averages of the maps",
+            Filter::Fitted => "fitted to what is seen of the finest level",
             Filter::Moments => "averages, and the variance of slopes as roughness",
         };
         let wrap = match self.wrap {
