@@ -223,6 +223,11 @@ impl Maps {
         Texel::from_row(&self.pyramid.texels()[row * self.size()[0] + column])
     }
 
+    /// The texels of all levels, in the order of the layout.
+    pub fn all_texels(&self) -> impl Iterator<Item = Texel> {
+        self.pyramid.all_texels().iter().map(Texel::from_row)
+    }
+
     /// The mean of all texels. What of the slopes varies is not in its α, but in that of the surface from afar.
     #[must_use]
     pub fn mean(&self) -> Texel {

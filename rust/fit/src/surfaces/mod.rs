@@ -7,6 +7,7 @@
 pub mod dual;
 pub mod errors;
 pub mod gated;
+pub mod mips;
 pub mod queries;
 pub mod training;
 

@@ -41,7 +41,7 @@ pub struct Pace {
 }
 
 /// Parts of a step that have a gradient of their own: their sum is the same on any number of threads.
-const PARTS: usize = 4;
+pub const PARTS: usize = 4;
 
 /// Where the fit of a surface begins.
 #[must_use]
