@@ -225,7 +225,13 @@ fn options_say_size_filter_and_wrap() {
     assert!(small.mean().alpha > mean.alpha);
     let (plain, _) = set.converted(&["--size", "2", "--filter", "average"]);
     assert!((maps_of(&plain).mean().alpha - mean.alpha).abs() < 1e-6);
-    for option in [["--size", "2"], ["--filter", "average"], ["--wrap", "clamp"]] {
+    let (coarse, _) = set.converted(&["--precision", "u8"]);
+    let (fine, _) = set.converted(&[]);
+    // A byte a number, and two numbers for the range of each channel.
+    assert_eq!(coarse.tensor_bytes().unwrap().0, 4 * 4 * 9 + 2 * 4 * 9);
+    let (coarse, fine) = (maps_of(&coarse).texel(1, 2), maps_of(&fine).texel(1, 2));
+    assert!(coarse != fine && (coarse.kd[0] - fine.kd[0]).abs() < 0.01, "{coarse:?} {fine:?}");
+    for option in [["--size", "2"], ["--filter", "average"], ["--wrap", "clamp"], ["--precision", "u8"]] {
         let line = set.0.fails(2, &[&["convert", "lib.safetensors", "x.safetensors"], &option[..]].concat());
         assert!(line.contains(option[0]) && line.contains("folders of texture maps"), "{line}");
     }
@@ -253,8 +259,8 @@ fn the_library_says_where_its_maps_come_from() {
         "form         2×2 texels, 2 levels by moments of slopes",
         "Wood  from wood (4 files)",
         "levels     2×2 1×1",
-        "stored     kd 48, F0 48, alpha 16, slope 32 bytes",
-        "in memory  240 bytes of all levels",
+        "parts        maps 144 bytes",
+        "stored     float32; 240 bytes in memory",
         "wrap       the maps repeat",
         "from afar  kd ",
     ] {
@@ -266,6 +272,7 @@ fn the_library_says_where_its_maps_come_from() {
     let mean = maps_of(&library).mean();
     assert_eq!(surface["far"]["kd"][0].as_f64().map(|kd| kd as f32), Some(mean.kd[0]));
     assert_eq!((&surface["wrap"], &surface["levels"][1][0]), (&"repeat".into(), &1.into()));
+    assert_eq!((&json["tensor_bytes"]["maps"], &surface["precision"]), (&144.into(), &"f32".into()));
     assert_eq!(json["materials"][0]["files"][3]["name"], kinds[3]);
 }
 
