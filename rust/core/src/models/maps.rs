@@ -574,7 +574,12 @@ impl Facet {
         }
         let v = self.within(view);
         let light = if u.x < self.specular_share(v) {
-            self.outside(sample_visible_normal(self.alpha(), v, u.y, u.z))
+            let light = sample_visible_normal(self.alpha(), v, u.y, u.z);
+            // What a facet reflects below itself may be above the surface, where the lobe's density is 0.
+            if !is_lit(light, v) {
+                return Sample::FAILED;
+            }
+            self.outside(light)
         } else {
             sample_cosine(u.y, u.z)
         };
