@@ -376,3 +376,59 @@ fn a_surface_is_checked_at_several_places_or_at_one() {
         json["subjects"].as_array().unwrap().iter().filter_map(|subject| subject["name"].as_str()).collect();
     assert_eq!(names, ["Wood at 0.3,0.6 footprint 0.05"]);
 }
+
+#[test]
+fn a_surface_is_fitted_for_every_distance_and_stays_while_nothing_changes() {
+    let set = Set::new();
+    let fit = ["fit", "wood", "--model", "gated", "--steps", "20", "-o", "near.safetensors", "--if-changed"];
+    let said = set.0.succeeds(&fit);
+    assert!(said.contains("normals: Wood_1K-PNG_NormalGL.png"), "{said}");
+    let heads = ["log-MAE at texels", "maps_average", "maps_moments", "gated", "mean"];
+    assert!(heads.iter().all(|head| said.contains(head)), "{said}");
+    let library = Library::open(set.0.path("near.safetensors")).unwrap();
+    let entry = library.entry(None).unwrap();
+    assert!(entry.material.is_surface());
+    assert_eq!((entry.origin.steps, entry.origin.files.len()), (Some(20), 4));
+    let levels = entry.origin.metrics.keys().filter(|key| key.starts_with("level_")).count();
+    assert_eq!(levels, 3, "{:?}", entry.origin.metrics);
+    assert!(set.0.succeeds(&fit).contains("is up to date"));
+
+    // A library of the maps is the same surface.
+    set.converted(&[]);
+    set.0.succeeds(&[
+        "fit",
+        "wood.safetensors",
+        "--model",
+        "gated",
+        "--steps",
+        "20",
+        "-o",
+        "again.safetensors",
+    ]);
+    let at = ["--uv", "0.3,0.7", "--footprint", "0.2"];
+    let near = set.f(&[&["near.safetensors"], &at[..]].concat());
+    assert_eq!(near, set.f(&[&["again.safetensors"], &at[..]].concat()));
+    assert!(near.iter().any(|&f| f > 0.0));
+}
+
+#[test]
+fn fits_of_surfaces_say_what_they_cannot_do() {
+    let set = Set::new();
+    set.converted(&[]);
+    let fit = |code, more: &[&str]| {
+        let output = ["--model", "gated", "--steps", "1", "-o", "near.safetensors"];
+        set.0.fails(code, &[&["fit"], more, &output[..]].concat())
+    };
+    for (code, arguments, reason) in [
+        (2, &["wood", "wood.safetensors"][..], "--model gated fits one surface"),
+        (2, &["wood.safetensors", "--size", "2"], "--size applies to folders of texture maps"),
+        (1, &["wood", "--latent-size", "9"], "latent codes of 9 texels beside maps of 4, expected 1 to 4"),
+        (2, &["wood", "--net", "24x2"], "expected 16, 32 or 64 times 2 or 3"),
+        (2, &["wood", "--paper"], "--paper does not apply to --model gated"),
+        (1, &["wood", "--resume"], "leave --resume out to start one"),
+    ] {
+        let said = fit(code, arguments);
+        assert!(said.contains(reason), "{arguments:?}: {said}");
+        assert!(!set.0.path("near.safetensors").exists());
+    }
+}

@@ -69,7 +69,7 @@ enum PrecisionName {
 }
 
 /// Steps of a fit if nothing else is asked for.
-const DEFAULT_STEPS: u64 = 3_000;
+const DEFAULT_STEPS: u64 = 6_000;
 
 impl GatedArguments {
     fn options(&self, size: [usize; 2], seed: u64) -> SurfaceOptions {

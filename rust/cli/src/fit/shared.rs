@@ -30,7 +30,7 @@ pub struct Training {
     #[arg(long, value_name = "WxN", value_parser = parse_net)]
     pub net: Option<Net>,
     /// Steps of the optimiser (of each cluster for spherical; the analytic part always takes its own 1,500)
-    /// [default: 20000; 3000 for gated, each of which looks at more]
+    /// [default: 20000; 6000 for gated, each of which looks at more]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub steps: Option<u64>,
     /// Learning rate at the start [default: 0.01; 0.02 for neural, spherical and gated; 0.005 with --paper]

@@ -2,6 +2,7 @@
 //!
 //! In reading order: [`queries`] (what a fit looks at, and the truth there), [`gated`] (loss and derivatives of a block),
 //! [`dual`] (numbers with derivatives), [`training`] (steps), [`errors`] (how far a surface is from the truth, by level).
+//! [`mips`] fits mip maps of facets, the baseline.
 //! [`fit_surface`] is all of it.
 
 pub mod dual;
@@ -68,7 +69,7 @@ impl SurfaceOptions {
             precision: Precision::U8,
             pace: Pace {
                 steps,
-                blocks: 64,
+                blocks: 32,
                 samples: 8,
                 rate: 2e-2,
                 network_rate: 0.5,
