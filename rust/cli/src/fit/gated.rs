@@ -148,6 +148,16 @@ impl SurfaceMaps {
         Ok((maps, entry.name.clone(), origin))
     }
 
+    /// Refuses options that make no sense for them.
+    ///
+    /// # Errors
+    /// Those of [`SurfaceOptions::shape`].
+    pub fn check(&self, gated: &GatedArguments, seed: u64) -> Result<()> {
+        let (maps, ..) = self.maps()?;
+        gated.options(maps.size(), seed).shape(maps.size(), maps.wrap())?;
+        Ok(())
+    }
+
     /// Fits to them.
     ///
     /// # Errors

@@ -243,6 +243,7 @@ fn fit_surface(
     if let Some(library) = common.unchanged(Some(&recipe)) {
         return skip(common, &library);
     }
+    maps.check(gated, common.seed)?;
     if !common.json.is_printed() {
         output::print(&maps.findings)?;
     }

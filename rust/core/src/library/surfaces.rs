@@ -210,6 +210,22 @@ struct GatedForm {
     warps: bool,
 }
 
+/// One of the two angular textures.
+#[derive(Clone, Copy)]
+enum Angle {
+    Half,
+    Difference,
+}
+
+impl Angle {
+    fn of(self, parts: &Parts) -> &Texture {
+        match self {
+            Angle::Half => &parts.half,
+            Angle::Difference => &parts.difference,
+        }
+    }
+}
+
 impl Codec for Gated {
     fn form(&self) -> Option<Value> {
         let parts = self.parts();
@@ -233,11 +249,10 @@ impl Codec for Gated {
         let mut tensors = Maps::encode(&parts.iter().map(|parts| &parts.maps).collect::<Vec<_>>());
         let latents: Vec<_> = parts.iter().map(|parts| parts.latents.all_texels().to_vec()).collect();
         tensors.extend(texels("latents", &[latents[0].len()], &latents, precision));
-        let textures: [(&str, fn(&Parts) -> &Texture); 2] =
-            [("half", |parts| &parts.half), ("difference", |parts| &parts.difference)];
-        for (name, texture) in textures {
-            let shape = [texture(first).disk().texels(), first.angles.columns()];
-            let numbers: Vec<_> = parts.iter().map(|parts| texture(parts).numbers().to_vec()).collect();
+        for (name, which) in [("half", Angle::Half), ("difference", Angle::Difference)] {
+            let texture = which.of(first);
+            let shape = [texture.disk().texels(), first.angles.columns()];
+            let numbers: Vec<_> = parts.iter().map(|parts| which.of(parts).numbers().to_vec()).collect();
             tensors.extend(texels(name, &shape, &numbers, precision));
         }
         tensors.extend(

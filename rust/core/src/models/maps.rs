@@ -59,6 +59,10 @@ pub const MAX_F0: f32 = 0.98;
 /// Steepest slope, 87°. A texel's normal cannot be flatter than the surface of a sphere's edge.
 pub const MAX_SLOPE: f32 = 20.0;
 
+/// Slopes count as no steeper where their variance becomes roughness: a few steep edges, whose facets most pairs do not
+/// see, would make all of a surface rough.
+const STEEPEST: f32 = 1.0;
+
 impl Texel {
     /// Every number in its range.
     #[must_use]
@@ -94,7 +98,8 @@ impl Texel {
 
     fn to_row(self) -> [f32; CHANNELS] {
         let Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] } = self;
-        [r, g, b, f, g0, b0, alpha, x, y, x * x, x * y, y * y]
+        let [p, q] = self.slope.map(|s| s.clamp(-STEEPEST, STEEPEST));
+        [r, g, b, f, g0, b0, alpha, x, y, p * p, p * q, q * q]
     }
 
     fn from_row(row: &[f32; CHANNELS]) -> Texel {

@@ -96,6 +96,12 @@ impl Shape {
         self.places().network.end
     }
 
+    /// Whether there are none; there always are.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
     /// Multiply-adds of an evaluation beside those of the maps and of the fetch of z_s: those of the angular textures,
     /// of gating, of frames and warps, and of the network.
     #[must_use]
