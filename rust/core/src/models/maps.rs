@@ -287,12 +287,13 @@ fn turned<F: Real>(frame: &[Vec3; 3], v: [F; 3]) -> [F; 3] {
 
 impl SampleBrdf for Facet {
     fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
-        if !is_lit(light, view) {
+        let [l, v] = [self.within(light), self.within(view)];
+        // What the facet is turned away from carries nothing: samples of it have failed.
+        if !is_lit(light, view) || !is_lit(l, v) {
             return 0.0;
         }
-        let [l, v] = [self.within(light), self.within(view)];
         let share = self.specular_share(v);
-        let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
+        let specular = visible_normal_pdf(self.alpha(), l, v);
         share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
     }
 
