@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use clap::builder::NonEmptyStringValueParser;
+use glimt_core::library::Entry;
 use glimt_core::{SampleBrdf, Vec3};
 use glimt_files::Array;
 use rayon::prelude::*;
@@ -11,6 +12,7 @@ use rayon::prelude::*;
 use crate::Usage;
 use crate::inputs::{self, STANDARD};
 use crate::output::{Format, Overwrite};
+use crate::place::PlaceArguments;
 
 /// Evaluate f for pairs of directions
 ///
@@ -29,6 +31,8 @@ pub struct Arguments {
     #[arg(short, long, value_name = "F.npy", value_parser = inputs::file_or_output())]
     output: PathBuf,
     #[command(flatten)]
+    place: PlaceArguments,
+    #[command(flatten)]
     overwrite: Overwrite,
 }
 
@@ -46,9 +50,10 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.overwrite.check(output, Format::Array)?;
     inputs::keep_apart([pairs.as_path()], &[output])?;
     let source = inputs::open_one(&arguments.file, output)?;
-    let brdf = source.brdf(arguments.material.as_deref())?;
+    let Entry { name, material, .. } = source.library()?.entry(arguments.material.as_deref())?;
+    let brdf = arguments.place.look(name, material)?;
     let pairs = read_pairs(pairs)?;
-    let f = eval(brdf, &pairs);
+    let f = eval(&brdf, &pairs);
     let shape = vec![pairs.len(), 3];
     Ok(Array { shape, values: f.into_iter().flat_map(|f| f.to_array()).collect() }.save(output)?)
 }

@@ -6,8 +6,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use glimt_core::kernels::network::Network;
 use glimt_core::library::{Entry, Origin};
+use glimt_core::models::maps::{Filter, Maps, Texel};
 use glimt_core::models::tabulated::Table;
 use glimt_core::sampling::Plan;
+use glimt_core::surface::{Place, Wrap};
 use glimt_core::{AnyModel, Library, Material, Oddity, Vec3};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source};
@@ -120,8 +122,106 @@ struct MaterialInfo {
     alpha: Option<[f32; 2]>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     latent: Vec<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    surface: Option<SurfaceInfo>,
     #[serde(flatten)]
     origin: Origin,
+}
+
+/// What a surface is made of.
+#[derive(Serialize)]
+struct SurfaceInfo {
+    /// Width and height in texels, from the finest.
+    levels: Vec<[usize; 2]>,
+    wrap: Wrap,
+    filter: Filter,
+    /// Of the finest level in the file; the others are made when it is opened.
+    stored: Vec<Part>,
+    /// Of all levels in memory.
+    memory_bytes: usize,
+    far: FarField,
+}
+
+/// Bytes of one of the parts of a surface.
+#[derive(Serialize)]
+struct Part {
+    name: &'static str,
+    bytes: usize,
+}
+
+/// The surface from afar.
+#[derive(Serialize)]
+struct FarField {
+    kd: [f32; 3],
+    f0: [f32; 3],
+    /// Mean of the texels.
+    texel_alpha: f32,
+    /// Along the longer and the shorter axis, with what the filter adds for the normals.
+    alpha: [f32; 2],
+    normal: [f32; 3],
+}
+
+impl SurfaceInfo {
+    fn new(maps: &Maps) -> SurfaceInfo {
+        let Texel { kd, f0, alpha, .. } = maps.mean();
+        let facet = maps.at(&Place::far());
+        let [width, height] = maps.size();
+        let part =
+            |(name, numbers): (_, usize)| Part { name, bytes: numbers * size_of::<f32>() * width * height };
+        SurfaceInfo {
+            levels: maps.sizes().collect(),
+            wrap: maps.wrap(),
+            filter: maps.filter(),
+            stored: [("kd", 3), ("F0", 3), ("alpha", 1), ("slope", 2)].map(part).into(),
+            memory_bytes: maps.bytes(),
+            far: FarField {
+                kd,
+                f0,
+                texel_alpha: alpha,
+                alpha: facet.alpha(),
+                normal: facet.normal().to_array(),
+            },
+        }
+    }
+
+    fn text(&self) -> String {
+        let levels: Vec<String> =
+            self.levels.iter().map(|[width, height]| format!("{width}×{height}")).collect();
+        let part = |part: &Part| format!("{} {}", part.name, thousands(part.bytes as u64));
+        let stored: Vec<String> = self.stored.iter().map(part).collect();
+        let numbers = |numbers: &[f32]| {
+            numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
+        };
+        let filter = match self.filter {
+            Filter::Average => "averages of the maps",
+            Filter::Moments => "averages, and the variance of slopes as roughness",
+        };
+        let wrap = match self.wrap {
+            Wrap::Repeat => "the maps repeat",
+            Wrap::Clamp => "the texels at the edge go on",
+        };
+        let FarField { kd, f0, texel_alpha, alpha, .. } = &self.far;
+        let mut text = String::new();
+        line(&mut text, &format!("    levels     {}", levels.join(" ")));
+        line(&mut text, &format!("    stored     {} bytes", stored.join(", ")));
+        line(
+            &mut text,
+            &format!("    in memory  {} bytes of all levels", thousands(self.memory_bytes as u64)),
+        );
+        line(&mut text, &format!("    filter     {filter}"));
+        line(&mut text, &format!("    wrap       {wrap}"));
+        line(
+            &mut text,
+            &format!(
+                "    from afar  kd {}  F0 {}  alpha {} (mean of the texels {})",
+                numbers(kd),
+                numbers(f0),
+                numbers(alpha),
+                numbers(&[*texel_alpha])
+            ),
+        );
+        text
+    }
 }
 
 impl Info {
@@ -198,6 +298,7 @@ impl Info {
                     .unwrap_or(0);
                 for material in materials {
                     line(&mut text, &format!("  {:width$}{}", printable(&material.name), material.text()));
+                    text += &material.surface.as_ref().map(SurfaceInfo::text).unwrap_or_default();
                 }
             }
         }
@@ -267,6 +368,7 @@ impl MaterialInfo {
             eta: microfacet.map(|m| m.eta),
             alpha: microfacet.map(|m| m.alpha),
             latent: entry.material.latent().to_vec(),
+            surface: <&Maps>::try_from(&entry.material).ok().map(SurfaceInfo::new),
             origin: entry.origin.clone(),
         }
     }
@@ -291,6 +393,9 @@ impl MaterialInfo {
         }
         if !self.origin.source.is_empty() {
             write!(text, "  from {}", printable(&self.origin.source)).expect("a string takes all");
+            if !self.origin.files.is_empty() {
+                write!(text, " ({} files)", self.origin.files.len()).expect("a string takes all");
+            }
         }
         text
     }

@@ -174,7 +174,21 @@ impl StandardInput {
     }
 }
 
-fn in_directory(directory: &Path) -> Result<Vec<PathBuf>> {
+/// Whether a directory has a file that [`expand`] finds. Beside a glTF file, `.bin` is geometry.
+pub fn holds_materials(directory: &Path) -> bool {
+    let Ok(files) = of_materials(directory) else { return false };
+    let is_geometry = |file: &PathBuf| {
+        let is_bin = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("bin"));
+        let has_gltf = |mut files: std::fs::ReadDir| {
+            files.any(|file| file.is_ok_and(|file| file.path().extension() == Some(OsStr::new("gltf"))))
+        };
+        is_bin && std::fs::read_dir(directory).is_ok_and(has_gltf)
+    };
+    files.iter().any(|file| !is_geometry(file))
+}
+
+/// The files of a directory whose names end as those of materials do.
+fn of_materials(directory: &Path) -> Result<Vec<PathBuf>> {
     let cannot_read = || format!("cannot read {}", directory.display());
     let mut files = Vec::new();
     for item in std::fs::read_dir(directory).with_context(cannot_read)? {
@@ -184,6 +198,11 @@ fn in_directory(directory: &Path) -> Result<Vec<PathBuf>> {
             files.push(path);
         }
     }
+    Ok(files)
+}
+
+fn in_directory(directory: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = of_materials(directory)?;
     if files.is_empty() {
         bail!("{} holds no file whose name ends in {}", directory.display(), ENDINGS.join(", "));
     }

@@ -14,9 +14,11 @@ mod fitting;
 mod info;
 mod inputs;
 mod output;
+mod place;
 mod report;
 mod sample;
 mod simulated;
+mod textures;
 mod values;
 
 use std::borrow::Cow;

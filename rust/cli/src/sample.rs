@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use anyhow::Result;
 use clap::builder::NonEmptyStringValueParser;
+use glimt_core::library::Entry;
 use glimt_core::sampling::SamplerChoice;
 use glimt_core::{Sample, SampleBrdf, Vec3};
 use glimt_files::Array;
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 
 use crate::inputs;
 use crate::output::{Format, Overwrite};
+use crate::place::{self, PlaceArguments};
 
 /// Sample light directions for a view direction
 ///
@@ -42,6 +44,8 @@ pub struct Arguments {
     /// standard output
     #[arg(short, long, value_name = "S.npy", value_parser = inputs::file_or_output())]
     output: PathBuf,
+    #[command(flatten)]
+    place: PlaceArguments,
     #[command(flatten)]
     overwrite: Overwrite,
 }
@@ -73,10 +77,12 @@ const CHUNK: usize = 4096;
 pub fn run(arguments: &Arguments) -> Result<()> {
     arguments.overwrite.check(&arguments.output, Format::Array)?;
     let source = inputs::open_one(&arguments.file, &arguments.output)?;
-    let material = source.brdf(arguments.material.as_deref())?;
+    let Entry { name, material, .. } = source.library()?.entry(arguments.material.as_deref())?;
+    place::refuse_sampler(name, material, arguments.sampler.is_some())?;
     let material = arguments.sampler.map_or_else(|| material.clone(), |choice| material.with_sampler(choice));
     let count = arguments.count as usize;
-    let samples = sample(&material, arguments.view.0, count, arguments.seed);
+    let brdf = arguments.place.look(name, &material)?;
+    let samples = sample(&brdf, arguments.view.0, count, arguments.seed);
     let row = |s: Sample| [s.light.to_array().as_slice(), &[s.pdf], &s.weight.to_array()].concat();
     let values = samples.into_iter().flat_map(row).collect();
     Array { shape: vec![count, 7], values }.save(&arguments.output)?;

@@ -10,12 +10,11 @@ use std::sync::{Arc, OnceLock};
 
 use glam::Vec3;
 
-use crate::brdf::{Brdf, Sample, SampleBrdf};
+use crate::brdf::{Brdf, Sample, SampleBrdf, check_lengths, lane_of};
 use crate::error::{Invalid, Unmixable};
 use crate::kernels::network::Network;
 use crate::microfacet::Microfacet;
-use crate::models::maps::Facet;
-use crate::models::{Model, for_models};
+use crate::models::{Local, Model, for_models};
 use crate::oddity::Oddity;
 use crate::sampling::{Plan, Sampler, SamplerChoice};
 use crate::simd::{LANES, Lane3};
@@ -208,13 +207,29 @@ impl Material {
         matches!(self.at(&Place::far()), At::Place(_))
     }
 
+    /// [`Brdf::eval_packet`] with a place for every pair.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn eval_packet_at(
+        &self,
+        places: &[Place],
+        light: [&[f32]; 3],
+        view: [&[f32]; 3],
+        out: [&mut [f32]; 3],
+    ) {
+        check_lengths(&light, &view, &out);
+        assert!(places.len() == out[0].len(), "as many places as results");
+        with_model!(&self.model, model => Model::eval_packet_at(model, places, light, view, out));
+    }
+
     /// [`Brdf::eval_batch`] with a place for every pair. What is the same everywhere asks for none.
     ///
     /// # Panics
     /// If the lengths differ.
     pub fn eval_batch_at(
         &self,
-        places: impl ExactSizeIterator<Item = Place>,
+        mut places: impl ExactSizeIterator<Item = Place>,
         light: &[Vec3],
         view: &[Vec3],
         out: &mut [Vec3],
@@ -224,8 +239,16 @@ impl Material {
             return self.eval_batch(light, view, out);
         }
         assert!(light.len() == out.len() && view.len() == out.len(), "as many lights as views and results");
-        for (((place, &light), &view), f) in places.zip(light).zip(view).zip(out) {
-            *f = self.at(&place).eval(light, view);
+        for ((light, view), out) in light.chunks(LANES).zip(view.chunks(LANES)).zip(out.chunks_mut(LANES)) {
+            let n = out.len();
+            let there: [Place; LANES] = std::array::from_fn(|_| places.next().unwrap_or(Place::far()));
+            let of = |side: &[Vec3]| -> Lane3 {
+                std::array::from_fn(|c| std::array::from_fn(|lane| side.get(lane).map_or(0.0, |w| w[c])))
+            };
+            let (light, view, mut f) = (of(light), of(view), [[0.0; LANES]; 3]);
+            let [light, view] = [&light, &view].map(|side| side.each_ref().map(|x| &x[..n]));
+            self.eval_packet_at(&there[..n], light, view, f.each_mut().map(|x| &mut x[..n]));
+            out.iter_mut().enumerate().for_each(|(lane, out)| *out = lane_of(&f, lane));
         }
     }
 
@@ -380,52 +403,45 @@ pub enum At<'a> {
     /// What it reflects at every place.
     Everywhere(&'a Material),
     /// What it reflects there.
-    Place(Facet),
+    Place(Local<'a>),
+}
+
+/// `$body` with `$brdf` bound to what reflects at `$at`.
+macro_rules! with_brdf {
+    ($at:expr, $brdf:pat => $body:expr) => {
+        match $at {
+            At::Everywhere($brdf) => $body,
+            At::Place(Local::Facet($brdf)) => $body,
+            At::Place(Local::Gated($brdf)) => $body,
+        }
+    };
 }
 
 impl Brdf for At<'_> {
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
-        match self {
-            At::Everywhere(material) => material.eval(light, view),
-            At::Place(facet) => facet.eval(light, view),
-        }
+        with_brdf!(self, brdf => brdf.eval(light, view))
     }
 
     fn eval_tile(&self, light: &Lane3, view: &Lane3, out: &mut Lane3) {
-        match self {
-            At::Everywhere(material) => material.eval_tile(light, view, out),
-            At::Place(facet) => facet.eval_tile(light, view, out),
-        }
+        with_brdf!(self, brdf => brdf.eval_tile(light, view, out));
     }
 
     fn eval_packet(&self, light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
-        match self {
-            At::Everywhere(material) => material.eval_packet(light, view, out),
-            At::Place(facet) => facet.eval_packet(light, view, out),
-        }
+        with_brdf!(self, brdf => brdf.eval_packet(light, view, out));
     }
 
     fn eval_batch(&self, light: &[Vec3], view: &[Vec3], out: &mut [Vec3]) {
-        match self {
-            At::Everywhere(material) => material.eval_batch(light, view, out),
-            At::Place(facet) => facet.eval_batch(light, view, out),
-        }
+        with_brdf!(self, brdf => brdf.eval_batch(light, view, out));
     }
 }
 
 impl SampleBrdf for At<'_> {
     fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
-        match self {
-            At::Everywhere(material) => material.pdf(light, view),
-            At::Place(facet) => facet.pdf(light, view),
-        }
+        with_brdf!(self, brdf => brdf.pdf(light, view))
     }
 
     fn sample(&self, view: Vec3, u: Vec3) -> Sample {
-        match self {
-            At::Everywhere(material) => material.sample(view, u),
-            At::Place(facet) => facet.sample(view, u),
-        }
+        with_brdf!(self, brdf => brdf.sample(view, u))
     }
 }
 

@@ -42,6 +42,8 @@ pub enum glimt_kind {
     GLIMT_KIND_SPHERICAL = 7,
     /// Texture maps: a surface that is another at every place.
     GLIMT_KIND_MAPS = 8,
+    /// A surface whose reflectance at every scale is learned, as Timonen et al.
+    GLIMT_KIND_GATED = 9,
 }
 use glimt_kind::*;
 
@@ -223,8 +225,8 @@ pub unsafe extern "C" fn glimt_library_name(library: *const glimt_library, index
 }
 
 /// The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
-/// "nbrdf", "factor", "analytic", "spherical" or "maps", and "tabulated" for a measurement; valid until the library
-/// is closed. NULL for NULL.
+/// "nbrdf", "factor", "analytic", "spherical", "maps" or "gated", and "tabulated" for a measurement; valid until
+/// the library is closed. NULL for NULL.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn glimt_library_kind(library: *const glimt_library) -> *const c_char {
     In(library).optional().map_or(ptr::null(), |library| library.kind.as_ptr())
@@ -326,6 +328,7 @@ impl From<Kind> for glimt_kind {
             Kind::Analytic => GLIMT_KIND_ANALYTIC,
             Kind::Spherical => GLIMT_KIND_SPHERICAL,
             Kind::Maps => GLIMT_KIND_MAPS,
+            Kind::Gated => GLIMT_KIND_GATED,
         }
     }
 }

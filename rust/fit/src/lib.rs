@@ -30,6 +30,7 @@ pub mod objective;
 pub mod options;
 pub mod pairs;
 pub mod spherical;
+pub mod surfaces;
 pub mod train;
 pub mod truth;
 

@@ -6,14 +6,14 @@ use crate::error::Error;
 use crate::finding::{Finding, Map, Oddity};
 use crate::green::{COMPARED, points_up};
 use crate::image::{Curve, Image, Texels};
-use crate::maps::Maps;
+use crate::maps::{Maps, resized_roughness, resized_slopes};
 use crate::names::Green;
-use crate::normal::{STEEPEST, bounded, is_no_normal, length, normal_of, slope_of, vector_of};
+use crate::normal::{STEEPEST, bounded, is_no_normal, length, slope_of, vector_of};
 use crate::recipe::{Channel, Color, Normals, Recipe, SPECULAR, Scalar};
 use crate::resample::resample;
 
 /// Bytes of a texel of [`Maps`], and of slopes while they become normals.
-const TEXEL: u64 = 40;
+const TEXEL: u64 = 52;
 
 /// The image whose decoding takes most, and what it and the maps take in bytes.
 pub(crate) fn memory(recipe: &Recipe, size: [usize; 2]) -> (Option<&Arc<Image>>, u64) {
@@ -29,9 +29,18 @@ pub(crate) fn decode(recipe: &Recipe, size: [usize; 2]) -> Result<Maps, Error> {
     let base_color = decoder.color(&recipe.base_color)?;
     let roughness = decoder.scalar(Map::Roughness, &recipe.roughness)?;
     let metalness = decoder.scalar(Map::Metalness, &recipe.metalness)?;
-    let normal = decoder.normals(&recipe.normal)?;
+    let (normal, variance) = decoder.normals(&recipe.normal)?;
     let specular = decoder.scalar(Map::Specular, &recipe.specular)?;
-    Ok(Maps { size, base_color, roughness, metalness, normal, specular, findings: decoder.findings })
+    Ok(Maps {
+        size,
+        base_color,
+        roughness,
+        metalness,
+        normal,
+        variance,
+        specular,
+        findings: decoder.findings,
+    })
 }
 
 struct Decoder {
@@ -94,14 +103,19 @@ impl Decoder {
             (Oddity::OutOfRange, count(&|i| is_out_of_range(value(i)))),
             (Oddity::Colored, count(&is_colored)),
         ];
-        let values = resample(image.size, to, |i| [clean(value(i))]).into_flattened();
+        let values = match map {
+            Map::Roughness => resized_roughness(image.size, to, |i| clean(value(i))),
+            _ => resample(image.size, to, |i| [clean(value(i))]).into_flattened(),
+        };
         self.note(map, image, odd);
         Ok(values)
     }
 
-    fn normals(&mut self, normals: &Normals) -> Result<Vec<[f32; 3]>, Error> {
+    /// Normals, and the variance of their slopes within a texel.
+    fn normals(&mut self, normals: &Normals) -> Result<(Vec<[f32; 3]>, Vec<f32>), Error> {
         let flat = [0.0, 0.0, 1.0];
-        let Some(image) = &normals.image else { return Ok(vec![flat; self.size[0] * self.size[1]]) };
+        let number = self.size[0] * self.size[1];
+        let Some(image) = &normals.image else { return Ok((vec![flat; number], vec![0.0; number])) };
         let to = self.size;
         let reduced = normals.heights.as_ref().and_then(|heights| self.heights(heights, image));
         let texels = self.texels(Map::Normal, image, Curve::Linear)?;
@@ -125,7 +139,7 @@ impl Decoder {
         let impossible = count(&|i| is_no_normal(vector(i)));
         refuse_what_is_no_normal(image, colored, impossible)?;
         let slope = |i: usize| slope_of(vector(i)).map(|s| bounded(s * normals.scale));
-        let result = resample(image.size, to, slope).into_iter().map(normal_of).collect();
+        let result = resized_slopes(image.size, to, slope, |_| 0.0);
         if let (Some(heights), Some(is_up)) = (&normals.heights, is_up) {
             self.findings.push(Finding::Green { file: image.file(), heights: heights.file(), is_up });
         }

@@ -28,6 +28,8 @@ const OTHER: [&str; 12] =
 #[derive(Clone, Debug)]
 pub struct Folder {
     path: PathBuf,
+    /// The glTF file that names the images, where one does.
+    gltf: Option<PathBuf>,
     material: String,
     recipe: Recipe,
     findings: Vec<Finding>,
@@ -82,10 +84,12 @@ impl Folder {
         &self.findings
     }
 
-    /// The files that the maps come from, each once.
+    /// The files that the maps come from, each once; a glTF file is one of them.
     #[must_use]
     pub fn files(&self) -> Vec<&Path> {
-        let mut files: Vec<&Path> = self.recipe.images().map(|(_, image)| image.path()).collect();
+        let images = self.recipe.images().map(|(_, image)| image.path());
+        let heights = self.recipe.normal.heights.iter().map(|image| image.path());
+        let mut files: Vec<&Path> = images.chain(heights).chain(self.gltf.as_deref()).collect();
         files.sort();
         files.dedup();
         files
@@ -131,8 +135,7 @@ fn open(path: &Path, wanted: Option<&str>) -> Result<Folder, Error> {
     let bytes = Bytes::of_file(path)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     if is_gltf(&name) {
-        let found = gltf::read(&Files::on_disk(parent), &name, wanted)?;
-        return finish(path, found.material, found.recipe, found.findings);
+        return of_gltf(path, gltf::read(&Files::on_disk(parent), &name, wanted)?);
     }
     of_image(path, bytes)
 }
@@ -162,10 +165,7 @@ fn of_files(path: &Path, files: &Files, wanted: Option<&str>) -> Result<Folder, 
     let gltf: Vec<String> = files.names()?.into_iter().filter(|name| is_gltf(name)).collect();
     match gltf.as_slice() {
         [] => {}
-        [name] => {
-            let found = gltf::read(files, name, wanted)?;
-            return finish(path, found.material, found.recipe, found.findings);
-        }
+        [name] => return of_gltf(path, gltf::read(files, name, wanted)?),
         _ => return Err(Error::SeveralMaterials { path: path.to_owned(), names: gltf }),
     }
     if images.0.is_empty()
@@ -177,9 +177,14 @@ fn of_files(path: &Path, files: &Files, wanted: Option<&str>) -> Result<Folder, 
     images.open(path, files, wanted)
 }
 
+fn of_gltf(path: &Path, found: gltf::Found) -> Result<Folder, Error> {
+    let gltf::Found { path: gltf, material, recipe, findings } = found;
+    Ok(Folder { gltf: Some(gltf), ..finish(path, material, recipe, findings)? })
+}
+
 fn finish(path: &Path, material: String, recipe: Recipe, findings: Vec<Finding>) -> Result<Folder, Error> {
     recipe.check()?;
-    Ok(Folder { path: path.to_owned(), material, recipe, findings })
+    Ok(Folder { path: path.to_owned(), gltf: None, material, recipe, findings })
 }
 
 fn is_gltf(name: &str) -> bool {

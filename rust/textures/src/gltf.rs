@@ -4,7 +4,7 @@
 //! that no reader of textures has to know.
 
 use std::collections::HashMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use base64::Engine;
@@ -145,6 +145,8 @@ struct Buffer {
 
 /// What a material of a file says: its name, and how its parameters come from images.
 pub(crate) struct Found {
+    /// The glTF file.
+    pub(crate) path: PathBuf,
     pub(crate) material: String,
     pub(crate) recipe: Recipe,
     pub(crate) findings: Vec<Finding>,
@@ -167,7 +169,7 @@ pub(crate) fn read(files: &Files, name: &str, wanted: Option<&str>) -> Result<Fo
     let unused = |why: &str| Finding::Unused { file: name.to_owned(), why: why.to_owned() };
     let mut findings = recipe.findings();
     findings.extend(why.into_iter().map(unused));
-    Ok(Found { material: names[chosen].clone(), recipe, findings })
+    Ok(Found { material: names[chosen].clone(), recipe, findings, path: path.clone() })
 }
 
 fn choose(path: &Path, names: &[String], wanted: Option<&str>) -> Result<usize, Error> {

@@ -1,8 +1,9 @@
 //! Texture maps as their sources name them: ambientCG, Poly Haven, MatSynth and glTF.
 //!
 //! [`Folder::open`] finds the files of a material and reads their headers. [`Folder::maps`] decodes them into the
-//! parameters of a metallic-roughness material at every texel, all of one size. What was taken, filled in or left
-//! out is said in [`Finding`]s, and nothing of the images' size is allocated before it is compared with a limit.
+//! parameters of a metallic-roughness material at every texel, all of one size, and [`Maps::surface`] makes a material
+//! of them. What was taken, filled in or left out is said in [`Finding`]s, and nothing of the images' size is allocated
+//! before it is compared with a limit.
 //!
 //! ```
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -37,6 +38,7 @@ mod normal;
 mod recipe;
 mod resample;
 mod source;
+mod surface;
 
 pub use error::Error;
 pub use finding::{Finding, Map, Oddity};

@@ -18,7 +18,7 @@ pub enum Size {
 
 /// The parameters of a metallic-roughness material at every texel, row by row from the top of the image.
 ///
-/// All numbers but normals are from 0 to 1.
+/// All numbers but normals and their variance are from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Maps {
     /// Width and height.
@@ -31,6 +31,8 @@ pub struct Maps {
     pub metalness: Vec<f32>,
     /// Unit vectors: x to the right in the image, y up in it, z out of the surface and above 0.
     pub normal: Vec<[f32; 3]>,
+    /// Variance of the slopes within a texel, the sum of both axes: what a reduction took from the normals.
+    pub variance: Vec<f32>,
     /// Reflectance at normal incidence of what is no metal: 0.04 where nothing else is said.
     pub specular: Vec<f32>,
     /// What was resized or odd.
@@ -43,8 +45,8 @@ impl Maps {
     ///
     /// Normals are averaged as slopes n_x/n_z and n_y/n_z. The mean slope of a patch is that of the surface from one
     /// edge to the other, so that a tile that closes stays flat in the mean, and two steps give what one gives. Means
-    /// of unit vectors tilt towards the gentler side of a groove. Roughness is averaged as it is: what normals vary
-    /// within a texel is not added to it.
+    /// of unit vectors tilt towards the gentler side of a groove. Roughness is averaged as r², the α of GGX. What
+    /// normals vary within a texel is not added to it but kept beside it, as the variance.
     ///
     /// # Panics
     /// If a side has no texel.
@@ -56,16 +58,18 @@ impl Maps {
         }
         let scalar =
             |values: &[f32]| resample(self.size, size, |i| [values[i]]).into_iter().flatten().collect();
-        let slopes = resample(self.size, size, |i| {
+        let slope = |i: usize| {
             let [x, y, z] = self.normal[i];
             [x / z, y / z]
-        });
+        };
+        let (normal, variance) = resized_slopes(self.size, size, slope, |i| self.variance[i]);
         Maps {
             size,
             base_color: resample(self.size, size, |i| self.base_color[i]),
-            roughness: scalar(&self.roughness),
+            roughness: resized_roughness(self.size, size, |i| self.roughness[i]),
             metalness: scalar(&self.metalness),
-            normal: slopes.into_iter().map(normal_of).collect(),
+            normal,
+            variance,
             specular: scalar(&self.specular),
             findings: self.findings.clone(),
         }
@@ -90,10 +94,42 @@ impl Maps {
             roughness: scalar(&self.roughness),
             metalness: scalar(&self.metalness),
             normal: vector(&self.normal),
+            variance: scalar(&self.variance),
             specular: scalar(&self.specular),
             findings: self.findings.clone(),
         }
     }
+}
+
+/// Perceptual roughness in another size, averaged as α = r². That is what mips of α do, so that fewer texels are a
+/// mip of more of them.
+pub(crate) fn resized_roughness(
+    from: [usize; 2],
+    to: [usize; 2],
+    roughness: impl Fn(usize) -> f32,
+) -> Vec<f32> {
+    // The root of a square is the number to the bit.
+    resample(from, to, |i| [roughness(i) * roughness(i)]).into_iter().map(|[alpha]| alpha.sqrt()).collect()
+}
+
+/// Slopes in another size as normals, and their variance within a texel besides what is there already.
+pub(crate) fn resized_slopes(
+    from: [usize; 2],
+    to: [usize; 2],
+    slope: impl Fn(usize) -> [f32; 2],
+    variance: impl Fn(usize) -> f32,
+) -> (Vec<[f32; 3]>, Vec<f32>) {
+    // Between the texels of an enlarged map slopes are linear, which is no roughness.
+    let is_reduced = from != to && to[0] <= from[0] && to[1] <= from[1];
+    let moments = resample(from, to, |i| {
+        let [x, y] = slope(i);
+        [x, y, if is_reduced { x * x + y * y } else { 0.0 }, variance(i)]
+    });
+    let varied = |[x, y, square, before]: [f32; 4]| {
+        let within = if is_reduced { (square - x * x - y * y).max(0.0) } else { 0.0 };
+        (normal_of([x, y]), before + within)
+    };
+    moments.into_iter().map(varied).unzip()
 }
 
 /// The size of maps of a recipe.

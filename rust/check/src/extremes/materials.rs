@@ -9,6 +9,8 @@ use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::microfacet::{self, ETA_RANGE, MIN_ALPHA, Microfacet};
 use glimt_core::models::analytic::{Analytic, Parameters, Specular};
 use glimt_core::models::factor::{self, Factor, Factors, Interpolation, Product, Variant};
+use glimt_core::models::gated::texture::{Disk, Texture};
+use glimt_core::models::gated::{self, Angles, Base, FEATURES, Gated, LATENT, Linear};
 use glimt_core::models::ggx::Ggx;
 use glimt_core::models::hybrid::{self, Composition, Form, Hybrid, MAX_BOUND};
 use glimt_core::models::maps::{Filter, MAX_SLOPE, Maps, Texel};
@@ -19,7 +21,7 @@ use glimt_core::models::spherical::store::Store;
 use glimt_core::models::spherical::tables::{self, Grids, Layout};
 use glimt_core::models::spherical::{self, Features, Spherical};
 use glimt_core::models::tabulated::Tabulated;
-use glimt_core::surface::Wrap;
+use glimt_core::surface::{Layout as Levels, Pyramid, Wrap};
 
 use super::pairs::direction;
 use super::{Case, Extreme, measurements};
@@ -138,7 +140,6 @@ impl Extreme for Maps {
     const BUDGET: f64 = 0.0;
 
     fn cases() -> Vec<Case> {
-        let plain = Texel { kd: [0.3; 3], f0: [0.04; 3], alpha: 0.3, slope: [0.0; 2] };
         let steep = Texel {
             kd: [0.0, 0.5, 1.0],
             f0: [0.0, 0.5, 1.0],
@@ -150,13 +151,68 @@ impl Extreme for Maps {
             Case::new(name.into(), maps.into())
         };
         vec![
-            maps("one texel", &[plain], Filter::Moments),
+            maps("one texel", &[PLAIN], Filter::Moments),
             maps("a steep texel", &[steep], Filter::Average),
-            maps("steep and flat, averaged", &[steep, plain, plain], Filter::Average),
-            maps("steep and flat, by moments", &[steep, plain, plain], Filter::Moments),
+            maps("steep and flat, averaged", &[steep, PLAIN, PLAIN], Filter::Average),
+            maps("steep and flat, by moments", &[steep, PLAIN, PLAIN], Filter::Moments),
         ]
     }
 }
+
+/// Surfaces of one texel whose codes, textures, frames, warps and network are extreme; on maps, and alone.
+impl Extreme for Gated {
+    const BUDGET: f64 = 0.0;
+
+    fn cases() -> Vec<Case> {
+        let case = |base: Base, angles: Angles, weights: Weights| {
+            let outputs = if base == Base::Maps { 6 } else { 3 };
+            let disk = Disk { rings: 3, sectors: 2 };
+            let texture = || {
+                let numbers = weights.numbers(disk.texels() * angles.columns() * FEATURES, 1.0);
+                Texture::new(disk, angles.columns(), numbers.as_chunks().0.to_vec()).expect(IN_RANGE)
+            };
+            let parts = gated::Parts {
+                base,
+                angles,
+                maps: Maps::new(1, [PLAIN], Wrap::Repeat, Filter::Moments).expect("a texel"),
+                latents: Pyramid::of_levels(
+                    Levels::new([1, 1], Wrap::Repeat),
+                    weights.latent(LATENT).as_chunks().0.to_vec(),
+                )
+                .expect("a texel"),
+                frames: Some(linear(weights)),
+                warps: Some(linear(weights)),
+                half: texture(),
+                difference: texture(),
+                network: weights.network(
+                    &[angles.inputs(), 16, outputs],
+                    angles.inputs(),
+                    Activation::HardGelu,
+                ),
+                bound: weights.bound(),
+            };
+            let material = Gated::new(parts).expect("the parts fit together");
+            Case::new(format!("{base:?}, {angles:?}, {weights:?}"), material.into())
+        };
+        let forms = [(Base::Maps, Angles::Matrices), (Base::None, Angles::Vectors)];
+        forms
+            .into_iter()
+            .flat_map(|(base, angles)| WEIGHTS.map(|weights| case(base, angles, weights)))
+            .collect()
+    }
+}
+
+fn linear<const N: usize>(weights: Weights) -> Linear<N> {
+    let numbers = weights.numbers(N * (LATENT + 1), 0.5);
+    let (rows, bias) = numbers.split_at(N * LATENT);
+    Linear {
+        weight: std::array::from_fn(|i| std::array::from_fn(|k| rows[i * LATENT + k])),
+        bias: std::array::from_fn(|i| bias[i]),
+    }
+}
+
+/// Grey plastic.
+const PLAIN: Texel = Texel { kd: [0.3; 3], f0: [0.04; 3], alpha: 0.3, slope: [0.0; 2] };
 
 impl Extreme for Hybrid {
     const BUDGET: f64 = 8.0;

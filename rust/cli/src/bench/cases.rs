@@ -10,6 +10,11 @@ use glimt_core::kernels::network::{Activation, Layer, Network};
 use glimt_core::microfacet::Microfacet;
 use glimt_core::models::analytic::{Analytic, Parameters, Specular};
 use glimt_core::models::factor::{self, DIFF_BINS, Factor, Factors, HALF_BINS, Product};
+use glimt_core::models::gated::angles::FRAME;
+use glimt_core::models::gated::texture::{Disk, Texture};
+use glimt_core::models::gated::{
+    self, Angles, Base, FEATURES as GATED_FEATURES, Gated, LATENT, Linear, WARPS,
+};
 use glimt_core::models::ggx::Ggx;
 use glimt_core::models::hybrid::{Form, Hybrid};
 use glimt_core::models::maps::{Filter, Maps, Texel};
@@ -19,7 +24,7 @@ use glimt_core::models::spherical::pixelation::Pixelation;
 use glimt_core::models::spherical::store::Store;
 use glimt_core::models::spherical::tables::{self, Grids, Interpolation, Layout};
 use glimt_core::models::spherical::{Features, Spherical};
-use glimt_core::surface::Wrap;
+use glimt_core::surface::{self, Pyramid, Wrap};
 use glimt_core::{AnyModel, Invalid, Kind, Material};
 use glimt_fit::Net;
 use glimt_measured::{Measured, Merl, merl};
@@ -82,6 +87,7 @@ pub fn cases(kind: Kind, nets: &[Net]) -> Vec<Result<Case>> {
         Kind::Tabulated => vec![tabulated()],
         Kind::Analytic => vec![case(analytic())],
         Kind::Maps => vec![case(maps())],
+        Kind::Gated => vec![case(gated())],
         Kind::Spherical => nets.iter().map(|&net| case(spherical(net))).collect(),
     }
 }
@@ -100,13 +106,36 @@ fn hybrid(net: Net) -> Result<Hybrid, Invalid> {
     Hybrid::new(form, network, MICROFACET, vec![0.1; HYBRID_LATENT], BOUND)
 }
 
-/// The variant and interpolation that `glimt fit` chooses.
 /// A surface of one texel: what is timed is its evaluation, and no place is fetched.
 fn maps() -> Result<Maps, Invalid> {
     let texel = Texel { kd: MICROFACET.kd, f0: [0.04, 0.08, 0.2], alpha: 0.2, slope: [0.1, 0.0] };
     Maps::new(1, [texel], Wrap::Repeat, Filter::Moments)
 }
 
+/// A surface of one texel, as [`maps`].
+fn gated() -> Result<Gated, Invalid> {
+    let disk = Disk { rings: 32, sectors: 32 };
+    let texture = |seed: usize| {
+        let number =
+            |i: usize| std::array::from_fn(|k| ((i * GATED_FEATURES + k + seed) as f32 * 0.754_878).sin());
+        Texture::new(disk, LATENT, (0..disk.texels() * LATENT).map(number).collect())
+    };
+    let inputs = Angles::Matrices.inputs();
+    Gated::new(gated::Parts {
+        base: Base::Maps,
+        angles: Angles::Matrices,
+        maps: maps()?,
+        latents: Pyramid::of_levels(surface::Layout::new([1, 1], Wrap::Repeat), vec![[0.3; LATENT]])?,
+        frames: Some(Linear { weight: [[0.0; LATENT]; FRAME], bias: [0.0, 0.0, 1.0, 1.0, 0.0, 0.0] }),
+        warps: Some(Linear { weight: [[0.1; LATENT]; WARPS], bias: [0.0; WARPS] }),
+        half: texture(0)?,
+        difference: texture(1)?,
+        network: network(&[inputs, 16, 16, 6], inputs, Activation::HardGelu)?,
+        bound: BOUND,
+    })
+}
+
+/// The variant and interpolation that `glimt fit` chooses.
 fn factor() -> Result<Factor, Invalid> {
     let bin = |i: usize, bins: usize| (i as f32 + 0.5) / bins as f32;
     let ndf = std::array::from_fn(|i| (-20.0 * bin(i, HALF_BINS).powi(4)).exp());

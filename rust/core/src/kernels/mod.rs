@@ -3,6 +3,7 @@
 
 pub mod mixed;
 pub mod network;
+pub mod placed;
 
 use glam::Vec3;
 

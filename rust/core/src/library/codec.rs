@@ -354,7 +354,7 @@ fn network_tensors(networks: &[&Arc<Network>]) -> Vec<Tensor> {
 }
 
 /// The layers of `networks`, which have the same sizes, stacked along a leading axis if `own`.
-fn layers_tensors(networks: &[&Network], own: bool) -> Vec<Tensor> {
+pub(super) fn layers_tensors(networks: &[&Network], own: bool) -> Vec<Tensor> {
     let tensor = |name: String, shape: &[usize], part: &dyn Fn(&Network) -> Vec<f32>| {
         let data: Vec<f32> = networks.iter().flat_map(|&network| part(network)).collect();
         if own {

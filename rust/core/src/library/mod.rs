@@ -75,10 +75,16 @@ pub struct Entry {
 pub struct Origin {
     /// Name of the file that it was fitted to or imported from.
     pub source: String,
-    /// SHA-256 of that file, in hexadecimal.
+    /// SHA-256 of that file, in hexadecimal; of several files that of the lines that `sha256sum` prints of them.
     pub sha256: String,
+    /// The files, where there are several.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub files: Vec<SourceFile>,
     /// The command that made it.
     pub command: String,
+    /// The version of glimt that did, where that is kept.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub version: String,
     /// Seed of the fit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
@@ -94,6 +100,15 @@ pub struct Origin {
     /// What a fit minimised, as far as later fits to the same network need it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recipe: Option<Value>,
+}
+
+/// One of several files that a material was made from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SourceFile {
+    /// Its name.
+    pub name: String,
+    /// SHA-256 of it, in hexadecimal.
+    pub sha256: String,
 }
 
 /// The name of what [`Library::mix`] makes.

@@ -11,14 +11,16 @@
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use crate::brdf::{Sample, SampleBrdf, is_lit};
+use crate::brdf::{Brdf, Sample, SampleBrdf, check_lengths, is_lit};
 use crate::error::Invalid;
 use crate::kernels::Kernel;
+use crate::kernels::placed::{self, PlacedKernel};
 use crate::microfacet::{MIN_ALPHA, Microfacet, Terms, fresnel};
-use crate::models::Model;
+use crate::models::{Local, Model};
 use crate::sampling::lobes::{sample_cosine, sample_visible_normal, visible_normal_pdf};
-use crate::simd::{Lanes, Real, Vector};
-use crate::surface::{Place, Pyramid};
+use crate::simd::{Lanes, Real, Spread, Vector};
+use crate::surface::place::halved;
+use crate::surface::{Place, Precision, Pyramid};
 
 /// How mips are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -43,6 +45,9 @@ pub struct Texel {
     pub slope: [f32; 2],
 }
 
+/// Numbers of a texel in a file.
+pub(crate) const FILED: usize = 9;
+
 /// Numbers of a texel: those of [`Texel`], and the products of slopes.
 const CHANNELS: usize = 12;
 
@@ -64,9 +69,34 @@ impl Texel {
         }
     }
 
+    /// As a row of a file. Where steps are few, they are those of roots, as darker colours, smoother lobes and
+    /// flatter slopes need finer ones. The root of a square is exact: what was rounded stays as it is.
+    fn to_file(self, precision: Precision) -> [f32; FILED] {
+        let Texel { kd: [r, g, b], f0: [f_r, f_g, f_b], alpha, slope: [x, y] } = self;
+        let row = [r, g, b, f_r, f_g, f_b, alpha, x, y];
+        match precision {
+            Precision::F32 => row,
+            Precision::F16 | Precision::U8 => row.map(|x| x.abs().sqrt().copysign(x)),
+        }
+    }
+
+    /// Of [`Texel::to_file`]; numbers out of their ranges are limited.
+    pub(crate) fn from_file(row: [f32; FILED], precision: Precision) -> Texel {
+        let [r, g, b, f_r, f_g, f_b, alpha, x, y] = match precision {
+            Precision::F32 => row,
+            Precision::F16 | Precision::U8 => row.map(|root| root * root.abs()),
+        };
+        Texel { kd: [r, g, b], f0: [f_r, f_g, f_b], alpha, slope: [x, y] }.limited()
+    }
+
     fn to_row(self) -> [f32; CHANNELS] {
         let Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] } = self;
         [r, g, b, f, g0, b0, alpha, x, y, x * x, x * y, y * y]
+    }
+
+    fn from_row(row: &[f32; CHANNELS]) -> Texel {
+        let [r, g, b, f, g0, b0, alpha, x, y, ..] = *row;
+        Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] }
     }
 }
 
@@ -75,6 +105,8 @@ impl Texel {
 pub struct Maps {
     pyramid: Pyramid<CHANNELS>,
     filter: Filter,
+    /// In how many bits files keep it.
+    precision: Precision,
     /// The surface from afar.
     far: Facet,
 }
@@ -92,8 +124,35 @@ impl Maps {
     ) -> Result<Maps, Invalid> {
         let rows = texels.into_iter().map(|texel| texel.limited().to_row()).collect();
         let pyramid = Pyramid::new(width, rows, wrap)?;
-        let far = Facet::of(pyramid.mean(), filter);
-        Ok(Maps { pyramid, filter, far })
+        let far = Facet::of(*pyramid.mean(), filter);
+        Ok(Maps { pyramid, filter, precision: Precision::F32, far })
+    }
+
+    /// As files of this precision give it back.
+    #[must_use]
+    pub fn rounded(&self, precision: Precision) -> Maps {
+        let [width, _] = self.size();
+        let rows = precision.rounded(&self.rows(precision).collect::<Vec<_>>());
+        let texels = rows.into_iter().map(|row| Texel::from_file(row, precision));
+        let maps = Maps::new(width, texels, self.wrap(), self.filter).expect("as many texels as before");
+        maps.with_precision(precision)
+    }
+
+    /// What files keep, which numbers read from one are already rounded to.
+    pub(crate) fn with_precision(self, precision: Precision) -> Maps {
+        Maps { precision, ..self }
+    }
+
+    /// In how many bits files keep it.
+    #[must_use]
+    pub fn precision(&self) -> Precision {
+        self.precision
+    }
+
+    /// The texels as files have them, row by row from the bottom.
+    pub(crate) fn rows(&self, precision: Precision) -> impl Iterator<Item = [f32; FILED]> {
+        let [width, height] = self.size();
+        (0..width * height).map(move |i| self.texel(i % width, i / width).to_file(precision))
     }
 
     /// The texel of a column and a row from the bottom.
@@ -102,25 +161,36 @@ impl Maps {
     /// If there is none.
     #[must_use]
     pub fn texel(&self, column: usize, row: usize) -> Texel {
-        let [r, g, b, f, g0, b0, alpha, x, y, ..] = self.pyramid.texels()[row * self.size()[0] + column];
-        Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] }
+        Texel::from_row(&self.pyramid.texels()[row * self.size()[0] + column])
+    }
+
+    /// The mean of all texels. What of the slopes varies is not in its α, but in that of the surface from afar.
+    #[must_use]
+    pub fn mean(&self) -> Texel {
+        Texel::from_row(self.pyramid.mean())
     }
 
     /// Width and height in texels.
     #[must_use]
     pub fn size(&self) -> [usize; 2] {
-        self.pyramid.size()
+        self.pyramid.layout().size()
     }
 
     /// Width and height of every level, from the finest.
     pub fn sizes(&self) -> impl Iterator<Item = [usize; 2]> {
-        self.pyramid.sizes()
+        self.pyramid.layout().sizes()
+    }
+
+    /// Bytes of all levels in memory.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.sizes().map(|[width, height]| width * height * CHANNELS * size_of::<f32>()).sum()
     }
 
     /// What lies beyond the edges.
     #[must_use]
     pub fn wrap(&self) -> crate::surface::Wrap {
-        self.pyramid.wrap()
+        self.pyramid.layout().wrap()
     }
 
     /// How mips are made.
@@ -129,10 +199,15 @@ impl Maps {
         self.filter
     }
 
+    /// What the surface reflects from afar.
+    pub(crate) fn far(&self) -> &Facet {
+        &self.far
+    }
+
     /// What the surface reflects at a place.
     #[must_use]
     pub fn at(&self, place: &Place) -> Facet {
-        Facet::of(&self.pyramid.fetch(place), self.filter)
+        Facet::of(self.pyramid.fetch(place), self.filter)
     }
 }
 
@@ -153,8 +228,12 @@ impl Model for Maps {
         false
     }
 
-    fn at(&self, place: &Place) -> Option<Facet> {
-        Some(Maps::at(self, place))
+    fn at(&self, place: &Place) -> Option<Local<'_>> {
+        Some(Local::Facet(Maps::at(self, place)))
+    }
+
+    fn eval_packet_at(&self, places: &[Place], light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        placed::eval_packet(self, places, light, view, out);
     }
 }
 
@@ -170,37 +249,142 @@ impl Kernel for Maps {
     }
 }
 
+impl Maps {
+    /// The facets that places see, side by side.
+    #[inline(always)]
+    pub(crate) fn facets<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        places: &[Place; L],
+    ) -> Facet<Vector<I, L>> {
+        let mut rows = [[0.0; CHANNELS]; L];
+        for lane in 0..L {
+            rows[lane] = self.pyramid.fetch(&places[lane]);
+        }
+        Facet::of(Vector::transpose(isa, &rows), self.filter)
+    }
+}
+
+/// The surface itself, at points: what every footprint sees a mean of. Between the texels of the finest level, maps are
+/// linear.
+struct Points<'a>(&'a Maps);
+
+impl PlacedKernel for Points<'_> {
+    #[inline(always)]
+    fn eval_placed<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        places: &[Place; L],
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        let mut rows = [[0.0; CHANNELS]; L];
+        for lane in 0..L {
+            rows[lane] = self.0.pyramid.at_point(places[lane].uv);
+        }
+        Facet::of(Vector::transpose(isa, &rows), Filter::Average).eval_real(light, view)
+    }
+}
+
+impl Maps {
+    /// f_r of every pair at its place; see [`Maps::at`].
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn eval_places(&self, places: &[Place], light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        check_lengths(&light, &view, &out);
+        assert!(places.len() == out[0].len(), "as many places as results");
+        placed::eval_packet(self, places, light, view, out);
+    }
+
+    /// f_r of every pair at a point, between the texels of the maps themselves. Footprints are not looked at: means of
+    /// this are what they see.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    pub fn eval_points(&self, points: &[Place], light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        check_lengths(&light, &view, &out);
+        assert!(points.len() == out[0].len(), "as many points as results");
+        placed::eval_packet(&Points(self), points, light, view, out);
+    }
+}
+
+impl PlacedKernel for Maps {
+    #[inline(always)]
+    fn eval_placed<I: Lanes<L>, const L: usize>(
+        &self,
+        isa: I,
+        places: &[Place; L],
+        light: [Vector<I, L>; 3],
+        view: [Vector<I, L>; 3],
+    ) -> [Vector<I, L>; 3] {
+        self.facets(isa, places).eval_real(light, view)
+    }
+}
+
 /// A GGX lobe over a Lambertian one, in a frame that is inclined to that of the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Facet {
-    terms: Terms,
+pub struct Facet<F = f32> {
+    terms: Terms<F>,
     /// Tangent, bitangent and normal of the facet; the tangent is the longer axis of the lobe.
-    frame: [Vec3; 3],
+    frame: [[F; 3]; 3],
+}
+
+impl<F: Real> Facet<F> {
+    /// Of the numbers of a texel.
+    #[inline(always)]
+    fn of(numbers: [F; CHANNELS], filter: Filter) -> Self {
+        let [kd_r, kd_g, kd_b, f0_r, f0_g, f0_b, alpha, x, y, xx, xy, yy] = numbers;
+        let (zero, one) = (alpha.splat(0.0), alpha.splat(1.0));
+        let eta = [eta(f0_r), eta(f0_g), eta(f0_b)];
+        let kd = [kd_r, kd_g, kd_b];
+        let normal = normalized([-x, -y, one]);
+        let (alpha, along) = match filter {
+            Filter::Average => ([alpha, alpha], [one, zero]),
+            Filter::Moments => {
+                // Of slopes: what of them varies within the footprint.
+                let [xx, xy, yy] = [(xx - x * x).max(zero), xy - x * y, (yy - y * y).max(zero)];
+                let (middle, half) = ((xx + yy) * 0.5, (xx - yy) * 0.5);
+                let spread = (half * half + xy * xy).sqrt().min(middle);
+                let [major, minor] = [rougher(alpha, middle + spread), rougher(alpha, middle - spread)];
+                let varies = F::lt(zero.splat(f32::MIN_POSITIVE), spread);
+                let inverse = F::select(varies, spread, one).reciprocal();
+                let twice = [F::select(varies, half, one) * inverse, F::select(varies, xy, zero) * inverse];
+                ([major, minor], halved([twice[0].clamped(-1.0, 1.0), twice[1].clamped(-1.0, 1.0)]))
+            }
+        };
+        let lean = normal[0] * along[0] + normal[1] * along[1];
+        let tangent =
+            normalized([along[0] - normal[0] * lean, along[1] - normal[1] * lean, -(normal[2] * lean)]);
+        let frame = [tangent, cross(normal, tangent), normal];
+        Facet { terms: Microfacet { kd, eta, alpha }.terms(), frame }
+    }
+}
+
+impl<S: Copy> Facet<S> {
+    /// f of pairs above the horizon of the surface.
+    #[inline(always)]
+    pub(crate) fn eval_real<R: Real>(&self, light: [R; 3], view: [R; 3]) -> [R; 3]
+    where
+        S: Spread<R>,
+    {
+        let (zero, one) = (light[0].splat(0.0), light[0].splat(1.0));
+        let [l, v] = [turned(&self.frame, light), turned(&self.frame, view)];
+        let faces = zero.and(zero.lt(l[2]), zero.lt(v[2]));
+        // Where the facet is turned away, any directions above it do.
+        let f = self.terms.eval(above(faces, l, [zero, zero, one]), above(faces, v, [zero, zero, one]));
+        // A grazing light on an inclined facet is beyond float32 where the surface's own cosine vanishes. Infinity
+        // times the 0 of a black facet would be no number.
+        let cosines = Real::select(faces, (l[2] / light[2]).at_most(f32::MAX), zero);
+        let mut seen = f;
+        for c in 0..3 {
+            seen[c] = (f[c] * cosines).at_most(f32::MAX);
+        }
+        seen
+    }
 }
 
 impl Facet {
-    fn of(numbers: &[f32; CHANNELS], filter: Filter) -> Facet {
-        let [kd_r, kd_g, kd_b, f0_r, f0_g, f0_b, alpha, x, y, xx, xy, yy] = *numbers;
-        let normal = if x == 0.0 && y == 0.0 { Vec3::Z } else { Vec3::new(-x, -y, 1.0).normalize() };
-        // Of slopes: what of them varies within the footprint.
-        let [xx, xy, yy] = match filter {
-            Filter::Average => [0.0; 3],
-            Filter::Moments => [(xx - x * x).max(0.0), xy - x * y, (yy - y * y).max(0.0)],
-        };
-        let (middle, half) = (0.5 * (xx + yy), 0.5 * (xx - yy));
-        let spread = half.hypot(xy).min(middle);
-        let rougher = |variance: f32| {
-            if variance > 0.0 { (alpha * alpha + 2.0 * variance).sqrt().min(1.0) } else { alpha }
-        };
-        let alpha = [rougher(middle + spread), rougher(middle - spread)];
-        let (sin, cos) = if spread > 0.0 { (0.5 * xy.atan2(half)).sin_cos() } else { (0.0, 1.0) };
-        let along = Vec3::new(cos, sin, 0.0);
-        let tangent =
-            if normal == Vec3::Z { along } else { (along - normal * normal.dot(along)).normalize() };
-        let p = Microfacet { kd: [kd_r, kd_g, kd_b], eta: [f0_r, f0_g, f0_b].map(eta), alpha };
-        Facet { terms: p.terms(), frame: [tangent, normal.cross(tangent), normal] }
-    }
-
     /// α along the facet's tangent and bitangent.
     #[must_use]
     pub fn alpha(&self) -> [f32; 2] {
@@ -210,17 +394,18 @@ impl Facet {
     /// The facet's normal.
     #[must_use]
     pub fn normal(&self) -> Vec3 {
-        self.frame[2]
+        self.frame[2].into()
     }
 
     /// A direction in the facet's frame.
     fn within(&self, v: Vec3) -> Vec3 {
-        Vec3::from(self.frame.map(|axis| axis.dot(v)))
+        turned(&self.frame, v.to_array()).into()
     }
 
     /// A direction in the surface's frame, of one in the facet's.
     fn outside(&self, v: Vec3) -> Vec3 {
-        self.frame[0] * v.x + self.frame[1] * v.y + self.frame[2] * v.z
+        let [tangent, bitangent, normal] = self.frame.map(Vec3::from);
+        tangent * v.x + bitangent * v.y + normal * v.z
     }
 
     /// Share of the GGX lobe among samples: that of what it reflects, as far as the view tells.
@@ -237,52 +422,59 @@ impl Facet {
 }
 
 /// η of a reflectance at normal incidence.
-fn eta(f0: f32) -> f32 {
-    let root = f0.max(0.0).sqrt();
-    (1.0 + root) / (1.0 - root)
+#[inline(always)]
+fn eta<F: Real>(f0: F) -> F {
+    let root = f0.max(f0.splat(0.0)).sqrt();
+    (root + 1.0) / (-root + 1.0)
+}
+
+/// α of a facet whose slopes vary.
+#[inline(always)]
+fn rougher<F: Real>(alpha: F, variance: F) -> F {
+    let zero = alpha.splat(0.0);
+    // Where nothing varies, α stays to the bit.
+    let wider = (variance * 2.0 + alpha * alpha).sqrt().at_most(1.0);
+    F::select(zero.lt(variance), wider, alpha)
+}
+
+#[inline(always)]
+fn normalized<F: Real>(v: [F; 3]) -> [F; 3] {
+    let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    [v[0] / length, v[1] / length, v[2] / length]
+}
+
+#[inline(always)]
+fn cross<F: Real>(a: [F; 3], b: [F; 3]) -> [F; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// A direction where the mask holds, else another.
+#[inline(always)]
+fn above<F: Real>(mask: F::Mask, w: [F; 3], other: [F; 3]) -> [F; 3] {
+    [F::select(mask, w[0], other[0]), F::select(mask, w[1], other[1]), F::select(mask, w[2], other[2])]
+}
+
+/// A direction in a frame.
+#[inline(always)]
+fn turned<F: Real>(frame: &[[impl Spread<F>; 3]; 3], v: [F; 3]) -> [F; 3] {
+    let mut turned = v;
+    for i in 0..3 {
+        let [x, y, z] = frame[i];
+        turned[i] = v[0] * x.spread(v[0]) + v[1] * y.spread(v[0]) + v[2] * z.spread(v[0]);
+    }
+    turned
 }
 
 impl Kernel for Facet {
     #[inline(always)]
     fn eval_lanes<I: Lanes<L>, const L: usize>(
         &self,
-        isa: I,
+        _isa: I,
         light: [Vector<I, L>; 3],
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
-        let (zero, one) = (Vector::new(isa, 0.0), Vector::new(isa, 1.0));
-        let [l, v] = [turned(&self.frame, light), turned(&self.frame, view)];
-        let faces = zero.and(zero.lt(l[2]), zero.lt(v[2]));
-        // Where the facet is turned away, any directions above it do.
-        let up = [zero, zero, one];
-        let above = |w: [Vector<I, L>; 3]| {
-            [
-                Real::select(faces, w[0], up[0]),
-                Real::select(faces, w[1], up[1]),
-                Real::select(faces, w[2], up[2]),
-            ]
-        };
-        let f = self.terms.eval(above(l), above(v));
-        // A grazing light on an inclined facet is beyond float32 where the surface's own cosine vanishes. Infinity
-        // times the 0 of a black facet would be no number.
-        let cosines = Real::select(faces, (l[2] / light[2]).at_most(f32::MAX), zero);
-        let mut seen = f;
-        for c in 0..3 {
-            seen[c] = (f[c] * cosines).at_most(f32::MAX);
-        }
-        seen
+        self.eval_real(light, view)
     }
-}
-
-/// A direction in a frame.
-#[inline(always)]
-fn turned<F: Real>(frame: &[Vec3; 3], v: [F; 3]) -> [F; 3] {
-    let mut turned = v;
-    for i in 0..3 {
-        let axis = frame[i];
-        turned[i] = v[0] * axis.x + v[1] * axis.y + v[2] * axis.z;
-    }
-    turned
 }
 
 impl SampleBrdf for Facet {
@@ -298,7 +490,13 @@ impl SampleBrdf for Facet {
     }
 
     fn sample(&self, view: Vec3, u: Vec3) -> Sample {
-        use crate::brdf::Brdf;
+        self.draw(self, view, u)
+    }
+}
+
+impl Facet {
+    /// A light for a BRDF that is much like this one, with the density of [`Facet::pdf`](SampleBrdf::pdf).
+    pub(crate) fn draw(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
         if !is_lit(view, view) || !u.is_finite() {
             return Sample::FAILED;
         }
@@ -309,7 +507,7 @@ impl SampleBrdf for Facet {
             sample_cosine(u.y, u.z)
         };
         let pdf = self.pdf(light, view);
-        let weight = self.eval(light, view) * (light.z / pdf);
+        let weight = brdf.eval(light, view) * (light.z / pdf);
         if pdf > 0.0 && weight.is_finite() { Sample { light, pdf, weight } } else { Sample::FAILED }
     }
 }
@@ -317,7 +515,6 @@ impl SampleBrdf for Facet {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::brdf::Brdf;
     use crate::models::ggx::Ggx;
     use crate::surface::{Footprint, Wrap};
     use proptest::prelude::*;

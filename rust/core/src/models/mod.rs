@@ -3,6 +3,7 @@
 pub mod analytic;
 pub mod edit;
 pub mod factor;
+pub mod gated;
 pub mod ggx;
 pub mod hybrid;
 pub mod maps;
@@ -35,6 +36,7 @@ macro_rules! for_models {
             analytic::Analytic,
             spherical::Spherical,
             maps::Maps,
+            gated::Gated,
         }
     };
 }
@@ -103,8 +105,13 @@ pub trait Model: Brdf + Clone {
     }
 
     /// What a surface reflects at a place; `None` for a model that is the same everywhere.
-    fn at(&self, _place: &Place) -> Option<maps::Facet> {
+    fn at(&self, _place: &Place) -> Option<Local<'_>> {
         None
+    }
+
+    /// f_r of every pair at its place; the slices have one length.
+    fn eval_packet_at(&self, _places: &[Place], light: [&[f32]; 3], view: [&[f32]; 3], out: [&mut [f32]; 3]) {
+        self.eval_packet(light, view, out);
     }
 
     /// The material between this one and `other` of the same library, with a share `t` in [0, 1] of `other`.
@@ -114,6 +121,15 @@ pub trait Model: Brdf + Clone {
     fn mix(&self, _other: &Self, _t: f32) -> Result<Self, Invalid> {
         Err(Unmixable::Model(Self::KIND).into())
     }
+}
+
+/// What a surface reflects at a place: a BRDF.
+#[derive(Clone, Copy, Debug)]
+pub enum Local<'a> {
+    /// Of [`maps`].
+    Facet(maps::Facet),
+    /// Of [`gated`].
+    Gated(gated::Point<'a>),
 }
 
 /// A variant as files spell it.

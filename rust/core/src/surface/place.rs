@@ -1,5 +1,7 @@
 //! A place on a surface, and how much of the surface around it one looks at.
 
+use crate::simd::Real;
+
 /// How much of a surface is seen: a Gaussian, whose standard deviations are lengths in uv.
 ///
 /// A pixel whose centre moves by `d` in uv from one to the next sees about `d/2`.
@@ -43,8 +45,18 @@ pub(crate) struct Ellipse {
     pub major: f32,
     /// The shorter one.
     pub minor: f32,
-    /// Direction of the longer one, of unit length.
-    pub direction: [f32; 2],
+    /// Cosine and sine of twice the angle of the longer one.
+    twice: [f32; 2],
+}
+
+/// Cosine and sine of an angle in (−π/2, π/2] of those of its double.
+#[inline(always)]
+pub(crate) fn halved<F: Real>([cos, sin]: [F; 2]) -> [F; 2] {
+    // Of the two the larger by its square, the other by the product: no difference of close numbers.
+    let is_flat = cos.splat(0.0).lt(cos);
+    let larger = ((cos.abs() + 1.0) * 0.5).sqrt();
+    let smaller = sin * 0.5 / larger;
+    [F::select(is_flat, larger, smaller), F::select(is_flat, smaller, larger)]
 }
 
 impl Ellipse {
@@ -69,8 +81,13 @@ impl Ellipse {
         let major = (middle + spread).sqrt();
         // The product of the two is |det Σ|, without the difference of close numbers.
         let minor = if major > 0.0 { ((a * d - b * c).abs() / major).min(major) } else { 0.0 };
-        let angle = 0.5 * q.atan2(half);
-        Ellipse { major, minor, direction: [angle.cos(), angle.sin()] }
+        let twice = if spread > 0.0 { [half / spread, q / spread] } else { [1.0, 0.0] };
+        Ellipse { major, minor, twice }
+    }
+
+    /// Direction of the longer axis, of unit length.
+    pub fn direction(&self) -> [f32; 2] {
+        halved(self.twice)
     }
 }
 
@@ -83,7 +100,7 @@ mod tests {
     fn a_round_footprint_is_scaled_by_its_axes() {
         let ellipse = Ellipse::new(Footprint::Isotropic(0.1), [200.0, 100.0]);
         assert!((ellipse.major - 20.0).abs() < 1e-4 && (ellipse.minor - 10.0).abs() < 1e-4);
-        assert!(ellipse.direction[0].abs() > 0.999);
+        assert!(ellipse.direction()[0].abs() > 0.999);
         let point = Ellipse::new(Footprint::Point, [100.0; 2]);
         assert_eq!((point.major, point.minor), (0.0, 0.0));
     }
@@ -101,7 +118,8 @@ mod tests {
         fn principal_axes_make_the_same_gaussian(
             axes in prop::array::uniform2(prop::array::uniform2(-1.0..1.0f32))
         ) {
-            let Ellipse { major, minor, direction: [x, y] } = Ellipse::new(Footprint::Axes(axes), [1.0; 2]);
+            let ellipse = Ellipse::new(Footprint::Axes(axes), [1.0; 2]);
+            let (Ellipse { major, minor, .. }, [x, y]) = (ellipse, ellipse.direction());
             let (m, n) = (major * major, minor * minor);
             let made = [m * x * x + n * y * y, (m - n) * x * y, m * y * y + n * x * x];
             let [a, b] = axes;

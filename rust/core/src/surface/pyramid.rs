@@ -1,12 +1,12 @@
 //! Numbers over a surface at every size: textures with mip maps.
 //!
-//! Level 0 is the texture; each next one has half the size, rounded up, down to one texel, and is the exact mean of
-//! the one before it: textures of any size lose nothing. A texel of level l holds what a Gaussian of half a texel's
-//! width sees. Between texels numbers are linear, and so they are between levels.
+//! Level 0 is the texture; each next one has half the size, rounded up, down to one texel. A texel of level l holds
+//! what a Gaussian of half a texel's width sees. Between texels numbers are linear, and so they are between levels.
 
 use serde::{Deserialize, Serialize};
 
 use super::place::{Ellipse, Place};
+use crate::error::Invalid;
 
 /// What lies beyond the edges of a texture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,38 +21,39 @@ pub enum Wrap {
 /// Most texels along the longer axis of a footprint; beyond that it is shortened, as graphics cards do.
 const MOST_TAPS: f32 = 16.0;
 
-/// `C` numbers at every texel of every level.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Pyramid<const C: usize> {
-    levels: Vec<Level<C>>,
+/// Where the texels of a pyramid are: level after level from the finest, each row by row from the bottom, as v goes
+/// up.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Layout {
+    levels: Vec<Level>,
     wrap: Wrap,
 }
 
-/// One size of a texture, row by row from the bottom: v goes up.
-#[derive(Clone, Debug, PartialEq)]
-struct Level<const C: usize> {
+/// One size of a texture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Level {
     width: usize,
     height: usize,
-    texels: Vec<[f32; C]>,
+    /// Texels of finer levels, which come before.
+    first: usize,
 }
 
-impl<const C: usize> Pyramid<C> {
-    /// Of a texture, row by row from the bottom.
+impl Layout {
+    /// Of a texture whose level 0 has this size.
     ///
-    /// # Errors
-    /// In words, a texture without texels or of rows that differ.
-    pub fn new(width: usize, texels: Vec<[f32; C]>, wrap: Wrap) -> Result<Self, String> {
-        if width == 0 || texels.is_empty() || !texels.len().is_multiple_of(width) {
-            return Err(format!("{} texels do not make rows of {width}", texels.len()));
-        }
-        let height = texels.len() / width;
-        let mut levels = vec![Level { width, height, texels }];
-        while let Some(level) = levels.last()
-            && level.texels.len() > 1
+    /// # Panics
+    /// If there is no texel.
+    #[must_use]
+    pub fn new([width, height]: [usize; 2], wrap: Wrap) -> Layout {
+        assert!(width > 0 && height > 0, "a texture has texels");
+        let mut levels = vec![Level { width, height, first: 0 }];
+        while let Some(&level) = levels.last()
+            && level.texels() > 1
         {
-            levels.push(level.half());
+            let (width, height) = (level.width.div_ceil(2), level.height.div_ceil(2));
+            levels.push(Level { width, height, first: level.first + level.texels() });
         }
-        Ok(Pyramid { levels, wrap })
+        Layout { levels, wrap }
     }
 
     /// Width and height of level 0.
@@ -62,14 +63,24 @@ impl<const C: usize> Pyramid<C> {
     }
 
     /// Width and height of every level, from the finest.
-    pub fn sizes(&self) -> impl Iterator<Item = [usize; 2]> {
+    pub fn sizes(&self) -> impl ExactSizeIterator<Item = [usize; 2]> {
         self.levels.iter().map(|level| [level.width, level.height])
     }
 
-    /// Level 0, row by row from the bottom.
+    /// Where the texels of a level are among those of all.
+    ///
+    /// # Panics
+    /// If there is no such level.
     #[must_use]
-    pub fn texels(&self) -> &[[f32; C]] {
-        &self.levels[0].texels
+    pub fn texels_of(&self, level: usize) -> std::ops::Range<usize> {
+        let level = self.levels[level];
+        level.first..level.first + level.texels()
+    }
+
+    /// Texels of all levels.
+    #[must_use]
+    pub fn texels(&self) -> usize {
+        self.texels_of(self.levels.len() - 1).end
     }
 
     /// What lies beyond the edges.
@@ -78,86 +89,215 @@ impl<const C: usize> Pyramid<C> {
         self.wrap
     }
 
-    /// The mean of the whole texture.
-    #[must_use]
-    pub fn mean(&self) -> &[f32; C] {
-        &self.levels[self.levels.len() - 1].texels[0]
+    /// The texels that a footprint sees, and their weights, whose sum is 1. The level is that of the footprint's
+    /// shorter axis, and up to 16 places lie along the longer one. A place that is no number is (0, 0). Texels come
+    /// more than once where they serve several places.
+    #[inline(always)]
+    pub fn taps(&self, place: &Place, mut tap: impl FnMut(usize, f32)) {
+        self.places(place, |uv, weight, level| self.trilinear(uv, level, weight, &mut tap));
     }
 
-    /// What a footprint sees: the level is that of its shorter axis, and up to 16 places of it lie along the
-    /// longer one. A place that is no number is (0, 0).
-    #[must_use]
-    pub fn fetch(&self, place: &Place) -> [f32; C] {
-        let [width, height] = self.size();
-        let ellipse = Ellipse::new(place.footprint, [width as f32, height as f32]);
+    /// The points, weights and the level by which a footprint is seen.
+    #[inline(always)]
+    fn places(&self, place: &Place, mut point: impl FnMut([f64; 2], f32, f32)) {
+        let size = self.size().map(|texels| texels as f32);
+        let uv = finite(place.uv);
+        let ellipse = Ellipse::new(place.footprint, size);
         let taps = (ellipse.major / ellipse.minor.max(0.5)).ceil().clamp(1.0, MOST_TAPS);
         let level = (2.0 * ellipse.minor.max(ellipse.major / (2.0 * taps))).log2().max(0.0);
-        let uv = place.uv.map(|x| if x.is_finite() { f64::from(x) } else { 0.0 });
-        let mut sum = [0.0; C];
-        let mut whole = 0.0;
-        for tap in 0..taps as usize {
-            // Places of equal distance over two standard deviations to either side, weighted by the Gaussian.
-            let offset = 2.0 * ((2 * tap + 1) as f32 / taps - 1.0);
-            let weight = (-0.5 * offset * offset).exp();
-            let along = offset * ellipse.major;
-            let [x, y] = ellipse.direction;
-            let at =
-                [uv[0] + f64::from(along * x) / width as f64, uv[1] + f64::from(along * y) / height as f64];
-            let at = if taps > 1.0 { at } else { uv };
-            let texel = self.trilinear(at, level);
-            whole += weight;
-            for c in 0..C {
-                sum[c] += weight * texel[c];
-            }
+        if taps <= 1.0 {
+            return point(uv, 1.0, level);
         }
-        // One place keeps its bits.
-        if taps > 1.0 { sum.map(|x| x / whole) } else { self.trilinear(uv, level) }
+        // Places of equal distance over two standard deviations to either side, weighted by the Gaussian.
+        let [x, y] = ellipse.direction();
+        let offset = |tap: usize| 2.0 * ((2 * tap + 1) as f32 / taps - 1.0);
+        let weight = |tap: usize| (-0.5 * offset(tap) * offset(tap)).exp();
+        let whole: f32 = (0..taps as usize).map(weight).sum();
+        for tap in 0..taps as usize {
+            let along = offset(tap) * ellipse.major;
+            let at = [uv[0] + f64::from(along * x / size[0]), uv[1] + f64::from(along * y / size[1])];
+            point(at, weight(tap) / whole, level);
+        }
     }
 
-    fn trilinear(&self, uv: [f64; 2], level: f32) -> [f32; C] {
+    /// A level, the way from it to the next coarser one, and whether there is one.
+    fn between_levels(&self, level: f32) -> (usize, f32) {
         let last = self.levels.len() - 1;
         let fine = (level as usize).min(last);
-        let between = if fine == last { 0.0 } else { level - fine as f32 };
-        let near = self.levels[fine].bilinear(uv, self.wrap);
-        if between <= 0.0 {
-            return near;
+        (fine, if fine == last { 0.0 } else { level - fine as f32 })
+    }
+
+    #[inline(always)]
+    fn trilinear(&self, uv: [f64; 2], level: f32, weight: f32, tap: &mut impl FnMut(usize, f32)) {
+        let (fine, between) = self.between_levels(level);
+        self.levels[fine].bilinear(uv, self.wrap, weight * (1.0 - between), tap);
+        if between > 0.0 {
+            self.levels[fine + 1].bilinear(uv, self.wrap, weight * between, tap);
         }
-        let far = self.levels[fine + 1].bilinear(uv, self.wrap);
-        std::array::from_fn(|c| near[c] + (far[c] - near[c]) * between)
     }
 }
 
-impl<const C: usize> Level<C> {
-    /// The level of half the size.
-    fn half(&self) -> Level<C> {
-        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
-        let (columns, rows) = (shares(self.width, width), shares(self.height, height));
-        let texel = |row: &[(usize, f64)], column: &[(usize, f64)]| {
-            let mut sum = [0.0; C];
-            for &(y, of_row) in row {
-                for &(x, of_column) in column {
-                    let texel = &self.texels[y * self.width + x];
-                    for c in 0..C {
-                        sum[c] += of_row * of_column * f64::from(texel[c]);
-                    }
-                }
+/// A place that is no number is the origin.
+#[inline(always)]
+fn finite(uv: [f32; 2]) -> [f64; 2] {
+    uv.map(|x| if x.is_finite() { f64::from(x) } else { 0.0 })
+}
+
+impl Level {
+    fn texels(self) -> usize {
+        self.width * self.height
+    }
+
+    #[inline(always)]
+    fn bilinear(self, uv: [f64; 2], wrap: Wrap, weight: f32, tap: &mut impl FnMut(usize, f32)) {
+        let ([left, right], x) = between(uv[0], self.width, wrap);
+        let ([below, above], y) = between(uv[1], self.height, wrap);
+        let (below, above) = (self.first + below * self.width, self.first + above * self.width);
+        let (up, down) = (weight * y, weight * (1.0 - y));
+        tap(below + left, down * (1.0 - x));
+        tap(below + right, down * x);
+        tap(above + left, up * (1.0 - x));
+        tap(above + right, up * x);
+    }
+}
+
+/// `C` numbers at every texel of every level.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pyramid<const C: usize> {
+    layout: Layout,
+    texels: Vec<[f32; C]>,
+}
+
+impl<const C: usize> Pyramid<C> {
+    /// Of a texture, row by row from the bottom. Each coarser level is the exact mean of the one before it: textures
+    /// of any size lose nothing.
+    ///
+    /// # Errors
+    /// [`Invalid::Parts`] for a texture without texels or of rows that differ.
+    pub fn new(width: usize, texels: Vec<[f32; C]>, wrap: Wrap) -> Result<Self, Invalid> {
+        if width == 0 || texels.is_empty() || !texels.len().is_multiple_of(width) {
+            return Err(Invalid::Parts(format!("{} texels do not make rows of {width}", texels.len())));
+        }
+        let layout = Layout::new([width, texels.len() / width], wrap);
+        let mut pyramid = Pyramid { layout, texels };
+        for level in 1..pyramid.layout.levels.len() {
+            pyramid.push_half(level);
+        }
+        Ok(pyramid)
+    }
+
+    /// Of the texels of all levels.
+    ///
+    /// # Errors
+    /// [`Invalid::Parts`] if they are more or less than the layout has.
+    pub fn of_levels(layout: Layout, texels: Vec<[f32; C]>) -> Result<Self, Invalid> {
+        if texels.len() == layout.texels() {
+            Ok(Pyramid { layout, texels })
+        } else {
+            let (found, expected) = (texels.len(), layout.texels());
+            Err(Invalid::Parts(format!("a pyramid has {found} texels, expected {expected}")))
+        }
+    }
+
+    /// Where its texels are.
+    #[must_use]
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Level 0, row by row from the bottom.
+    #[must_use]
+    pub fn texels(&self) -> &[[f32; C]] {
+        &self.texels[self.layout.texels_of(0)]
+    }
+
+    /// All levels.
+    #[must_use]
+    pub fn all_texels(&self) -> &[[f32; C]] {
+        &self.texels
+    }
+
+    /// The coarsest texel.
+    #[must_use]
+    pub fn mean(&self) -> &[f32; C] {
+        &self.texels[self.texels.len() - 1]
+    }
+
+    /// What a footprint sees, see [`Layout::taps`]. Where all texels are the same, it is they to the bit.
+    #[must_use]
+    #[inline(always)]
+    pub fn fetch(&self, place: &Place) -> [f32; C] {
+        let (mut mean, mut whole) = ([0.0; C], 0.0);
+        self.layout.places(place, |uv, weight, level| {
+            let seen = self.trilinear(uv, level);
+            whole += weight;
+            // The mean moves towards each place by its share: it stays where all are the same.
+            let share = weight / whole;
+            for c in 0..C {
+                mean[c] += share * (seen[c] - mean[c]);
             }
-            sum.map(|x| x as f32)
-        };
-        let texels = rows.iter().flat_map(|row| columns.iter().map(|column| texel(row, column)));
-        Level { width, height, texels: texels.collect() }
+        });
+        mean
+    }
+
+    /// Between the texels of level 0.
+    #[must_use]
+    #[inline(always)]
+    pub fn at_point(&self, uv: [f32; 2]) -> [f32; C] {
+        self.bilinear(0, finite(uv))
+    }
+
+    #[inline(always)]
+    fn trilinear(&self, uv: [f64; 2], level: f32) -> [f32; C] {
+        let (fine, between) = self.layout.between_levels(level);
+        let near = self.bilinear(fine, uv);
+        if between <= 0.0 {
+            return near;
+        }
+        let far = self.bilinear(fine + 1, uv);
+        let mut seen = near;
+        for c in 0..C {
+            seen[c] += (far[c] - near[c]) * between;
+        }
+        seen
     }
 
     /// Between the four nearest texels.
-    fn bilinear(&self, uv: [f64; 2], wrap: Wrap) -> [f32; C] {
-        let (columns, x) = between(uv[0], self.width, wrap);
-        let (rows, y) = between(uv[1], self.height, wrap);
-        let texel = |row: usize, column: usize| &self.texels[rows[row] * self.width + columns[column]];
+    #[inline(always)]
+    fn bilinear(&self, level: usize, uv: [f64; 2]) -> [f32; C] {
+        let Level { width, height, first } = self.layout.levels[level];
+        let (columns, x) = between(uv[0], width, self.layout.wrap);
+        let (rows, y) = between(uv[1], height, self.layout.wrap);
+        let texels = &self.texels[first..];
+        let texel = |row: usize, column: usize| &texels[rows[row] * width + columns[column]];
         let [a, b, c, d] = [texel(0, 0), texel(0, 1), texel(1, 0), texel(1, 1)];
-        std::array::from_fn(|i| {
+        let mut seen = [0.0; C];
+        for i in 0..C {
             let (below, above) = (a[i] + (b[i] - a[i]) * x, c[i] + (d[i] - c[i]) * x);
-            below + (above - below) * y
-        })
+            seen[i] = below + (above - below) * y;
+        }
+        seen
+    }
+
+    /// Adds `level`, of half the size of the last.
+    fn push_half(&mut self, level: usize) {
+        let [Level { width, height, first }, half] =
+            [self.layout.levels[level - 1], self.layout.levels[level]];
+        let (columns, rows) = (shares(width, half.width), shares(height, half.height));
+        for row in &rows {
+            for column in &columns {
+                let mut sum = [0.0; C];
+                for &(y, of_row) in row {
+                    for &(x, of_column) in column {
+                        let texel = &self.texels[first + y * width + x];
+                        for c in 0..C {
+                            sum[c] += of_row * of_column * f64::from(texel[c]);
+                        }
+                    }
+                }
+                self.texels.push(sum.map(|x| x as f32));
+            }
+        }
     }
 }
 
@@ -214,7 +354,7 @@ mod tests {
             let pyramid = texture(width, height, Wrap::Repeat);
             let mean = mean_of(&pyramid);
             assert!((f64::from(pyramid.mean()[0]) - mean).abs() < 1e-5, "{width}×{height}");
-            assert_eq!(pyramid.sizes().last(), Some([1, 1]));
+            assert_eq!(pyramid.layout().sizes().last(), Some([1, 1]));
             let far = pyramid.fetch(&Place::far());
             assert_eq!(far, *pyramid.mean(), "{width}×{height}");
         }
@@ -245,7 +385,7 @@ mod tests {
 
     #[test]
     fn rows_that_differ_are_refused() {
-        assert!(Pyramid::new(3, vec![[0.0]; 4], Wrap::Repeat).unwrap_err().contains("4 texels"));
+        assert!(Pyramid::new(3, vec![[0.0]; 4], Wrap::Repeat).unwrap_err().to_string().contains("4 texels"));
         assert!(Pyramid::<1>::new(0, Vec::new(), Wrap::Repeat).is_err());
     }
 
