@@ -201,7 +201,8 @@ public:
         std::shared_ptr<const Material> edited;
         try {
             check_factors();
-            edited = share(edit(*m_material));
+            // A surface has no parameters in the core, and its maps need no copy.
+            edited = m_is_surface ? m_material : share(edit(*m_material));
         } catch (...) {
             restore();
             throw;

@@ -200,7 +200,7 @@ impl Material {
             if !latent.is_empty() && latent != material.latent() {
                 material = material.with_latent(latent.to_vec())?;
             }
-            Ok(Box::new(Material { name: self.name.clone(), material, library: self.library.clone() }))
+            Ok(Box::new(Material::new(self.name.clone(), material, self.library.clone())))
         })
     }
 

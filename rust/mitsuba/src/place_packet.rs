@@ -11,12 +11,15 @@
 //! and the density, 0 for a failed one, come back there, and the light in the far end and the instance: x/(1 + z) and
 //! y/(1 + z), of which z is made without losing its digits at the horizon.
 
+use std::cell::RefCell;
 use std::ffi::c_void;
 
+use glimt_core::material::At;
+use glimt_core::simd::LANES;
 use glimt_core::surface::{Footprint, Place};
 use glimt_core::{Brdf, Sample, SampleBrdf, Vec3};
 
-use crate::material::guarded;
+use crate::material::{Material, guarded};
 use crate::ray_hit::{RayHit, address_of_width};
 
 /// Address of the function that answers f and densities, for packets of `width` lanes; 0 where no such width is
@@ -45,12 +48,10 @@ unsafe extern "C" fn eval_at_packet<const N: usize>(
     // SAFETY: the caller's promise.
     let (valid, packet) = unsafe { (&*valid.cast::<[i32; N]>(), &mut *packet) };
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
-        // SAFETY: the lane is active.
-        let material = &unsafe { packet.material(lane) }.material;
         let (f, pdf) = guarded((Vec3::ZERO, 0.0), || {
             let (light, view) = (packet.origin_of(lane), packet.direction_of(lane));
-            let at = material.at(&place_of(packet, lane));
-            (at.eval(light, view), at.pdf(light, view))
+            // SAFETY: the lane is active.
+            unsafe { seen(packet, lane, |at| (at.eval(light, view), at.pdf(light, view))) }
         });
         packet.answer(lane, f, pdf);
     }
@@ -66,15 +67,53 @@ unsafe extern "C" fn sample_at_packet<const N: usize>(
     // SAFETY: the caller's promise.
     let (valid, packet) = unsafe { (&*valid.cast::<[i32; N]>(), &mut *packet) };
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
-        // SAFETY: the lane is active.
-        let material = &unsafe { packet.material(lane) }.material;
         let sample = guarded(Sample::FAILED, || {
-            material.at(&place_of(packet, lane)).sample(packet.direction_of(lane), packet.origin_of(lane))
+            let (u, view) = (packet.origin_of(lane), packet.direction_of(lane));
+            // SAFETY: the lane is active.
+            unsafe { seen(packet, lane, |at| at.sample(view, u)) }
         });
         packet.answer(lane, sample.weight, sample.pdf);
         let Vec3 { x, y, z } = sample.light;
         (packet.far[lane], packet.instance[lane]) = (x / (1.0 + z), y / (1.0 + z));
     }
+}
+
+/// What a lane saw, and where.
+#[derive(Clone, Copy)]
+struct Seen {
+    /// The number of the material.
+    material: u64,
+    /// The bits of uv and of the footprint.
+    place: [u32; 4],
+    at: At<'static>,
+}
+
+thread_local! {
+    /// What each lane saw last: a path tracer asks for f towards a light and then for a sample at the same place.
+    static LAST: RefCell<[Option<Seen>; LANES]> = const { RefCell::new([None; LANES]) };
+}
+
+/// What `ask` finds where a lane asks.
+///
+/// # Safety
+///
+/// The lane is active, so that it holds the address of a live material.
+unsafe fn seen<const N: usize, T>(packet: &RayHit<N>, lane: usize, ask: impl FnOnce(&At<'_>) -> T) -> T {
+    const { assert!(N <= LANES) };
+    // SAFETY: the caller's promise.
+    let Material { material, number, .. } = unsafe { packet.material(lane) };
+    let uv = [packet.time[lane], packet.far[lane]].map(f32::to_bits);
+    let place = [uv[0], uv[1], packet.near[lane].to_bits(), packet.mask[lane]];
+    LAST.with_borrow_mut(|last| match &last[lane] {
+        Some(seen) if seen.material == *number && seen.place == place => ask(&seen.at),
+        _ => {
+            let at = material.at(&place_of(packet, lane));
+            // SAFETY: it is looked at again only with a live material of the same number, which is this one.
+            let kept = unsafe { std::mem::transmute::<At<'_>, At<'static>>(at) };
+            last[lane] = Some(Seen { material: *number, place, at: kept });
+            ask(&at)
+        }
+    })
 }
 
 /// Where a lane asks.
@@ -102,7 +141,7 @@ mod tests {
     use glimt_core::{Library, Material as AnyMaterial};
 
     use super::*;
-    use crate::material::{Material, open};
+    use crate::material::open;
 
     /// A number in [0, 1) of index `i`, another sequence for every `k`.
     fn number(i: usize, k: usize) -> f32 {

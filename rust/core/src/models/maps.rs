@@ -479,13 +479,12 @@ impl Kernel for Facet {
 
 impl SampleBrdf for Facet {
     fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
-        let [l, v] = [self.within(light), self.within(view)];
-        // What the facet is turned away from carries nothing: samples of it have failed.
-        if !is_lit(light, view) || !is_lit(l, v) {
+        if !is_lit(light, view) {
             return 0.0;
         }
+        let [l, v] = [self.within(light), self.within(view)];
         let share = self.specular_share(v);
-        let specular = visible_normal_pdf(self.alpha(), l, v);
+        let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
         share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
     }
 
@@ -502,7 +501,12 @@ impl Facet {
         }
         let v = self.within(view);
         let light = if u.x < self.specular_share(v) {
-            self.outside(sample_visible_normal(self.alpha(), v, u.y, u.z))
+            let l = sample_visible_normal(self.alpha(), v, u.y, u.z);
+            // The lobe has no density below its facet, though such a light may be above the surface.
+            if !is_lit(l, v) {
+                return Sample::FAILED;
+            }
+            self.outside(l)
         } else {
             sample_cosine(u.y, u.z)
         };
