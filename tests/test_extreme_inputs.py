@@ -74,7 +74,7 @@ def assert_close_when_traced(f_cos, f, light, where):
     assert excess[worst] <= 0, f"{where}: {f_cos[worst]} against {(f * cosine)[worst]} at pair {worst[0]}"
 
 
-# They have the sampler of the catalogue without a place only, and Mitsuba asks them at a place as large as they are.
+# They have the sampler of the catalogue without a place only, and Mitsuba asks at a place as large as all.
 SURFACES = ("gated", "maps")
 
 

@@ -264,7 +264,7 @@ def test_mirrored_texture_coordinates_mirror_the_surface(libraries, pixel_angle)
     bsdf = load(libraries["maps"], pixel_angle=pixel_angle)
     across = np.array([-1, 1, 1], np.float32)[:, None]
     values = []
-    for texcoords, x, view, light in (
+    for texcoords, view, light in (
         ([0, 0, 1, 0, 1, 1, 0, 1], VIEW, LIGHT),
         ([1, 0, 0, 0, 0, 1, 1, 1], across * VIEW, across * LIGHT),
     ):

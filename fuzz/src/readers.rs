@@ -144,6 +144,7 @@ fn promises_of_maps(maps: &Maps) {
         assert!(scalars.len() == texels && scalars.iter().all(|x| (0.0..=1.0).contains(x)), "{scalars:?}");
     }
     assert!(maps.base_color.iter().flatten().all(|x| (0.0..=1.0).contains(x)), "{:?}", maps.base_color);
+    assert!(maps.variance.len() == texels && maps.variance.iter().all(|x| x.is_finite() && *x >= 0.0));
     for &[x, y, z] in &maps.normal {
         assert!((x * x + y * y + z * z - 1.0).abs() < 1e-5 && z > 0.04, "normal ({x}, {y}, {z})");
     }

@@ -66,7 +66,8 @@ const STEEP: f64 = 76.0;
 const LEFT: f64 = 0.1;
 
 /// [`Test::HorizonLimit`]: the mean response just above the horizon against that over the hemisphere. As f is
-/// finite, f·cosθ vanishes; who forgets the cosine, or divides by it, is found here.
+/// finite, f·cosθ vanishes; who forgets the cosine, or divides by it, is found here. Of normals that are not the
+/// surface's it is a figure.
 ///
 /// # Errors
 /// The subject's.
@@ -92,6 +93,8 @@ pub fn vanishing(subject: &dyn Subject, views: &[View], seed: u64) -> Answer<Fin
     }
     let (ratio, view) = worst;
     let note = "response just above the horizon over its mean";
-    let finding = Finding::new(Test::HorizonLimit, Measure::error(ratio, LEFT)).note(note);
-    Ok(Finding { view, ..finding.law(&subject.claims()) })
+    let claims = subject.claims();
+    let measure = if claims.tilted { Measure::Figure { value: ratio } } else { Measure::error(ratio, LEFT) };
+    let finding = Finding::new(Test::HorizonLimit, measure).note(note);
+    Ok(Finding { view, ..finding.law(&claims) })
 }

@@ -164,6 +164,7 @@ impl Claims {
             (self.reciprocal, "reciprocal"),
             (self.isotropic, "isotropic"),
             (self.conserving, "conserving"),
+            (self.tilted, "normals of its own"),
             (self.measured, "a measurement"),
         ] {
             if is_promised {

@@ -24,6 +24,9 @@ pub struct Claims {
     pub transmits: bool,
     /// It also answers for views below the horizon.
     pub two_sided: bool,
+    /// Its normals are not that of the surface, as those of normal maps are not: what faces the light as it sinks to
+    /// the horizon reflects it.
+    pub tilted: bool,
     /// It is a measurement as it is: what its numbers say against physics is a finding about the file.
     pub measured: bool,
 }
@@ -36,6 +39,7 @@ impl Claims {
         conserving: false,
         transmits: false,
         two_sided: false,
+        tilted: false,
         measured: false,
     };
 
@@ -45,6 +49,7 @@ impl Claims {
         Claims {
             reciprocal: material.is_reciprocal(),
             isotropic: material.is_isotropic(),
+            tilted: material.is_surface(),
             measured: material.kind() == Kind::Tabulated,
             ..Claims::NONE
         }

@@ -157,7 +157,7 @@ fn open(inputs: &[PathBuf], out: &Path, arguments: &Arguments) -> Result<Vec<Sou
             continue;
         }
         let only = arguments.material.as_deref();
-        let Opened { source, findings } = textures::open(input, only, &arguments.maps, &[out], &command)?;
+        let Opened { source, findings, .. } = textures::open(input, only, &arguments.maps, &[out], &command)?;
         let lines: String = findings.iter().map(|finding| format!("{finding}\n")).collect();
         if out == Path::new(STANDARD_OUTPUT) {
             lines.lines().for_each(output::note);

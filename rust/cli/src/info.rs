@@ -1,15 +1,16 @@
 //! `glimt info`: what a file holds.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use glimt_core::kernels::network::Network;
 use glimt_core::library::{Entry, Origin};
-use glimt_core::models::maps::{Filter, Maps, Texel};
+use glimt_core::models::maps::{Filter, Texel};
 use glimt_core::models::tabulated::Table;
 use glimt_core::sampling::Plan;
-use glimt_core::surface::{Place, Wrap};
+use glimt_core::surface::{Place, Precision, Wrap};
 use glimt_core::{AnyModel, Library, Material, Oddity, Vec3};
 use glimt_disk::printable;
 use glimt_files::{Samples, Source};
@@ -69,6 +70,9 @@ enum Content {
         network: Option<NetworkInfo>,
         bytes_per_material: usize,
         shared_bytes: usize,
+        /// Of a library of surfaces.
+        #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+        tensor_bytes: BTreeMap<String, usize>,
         materials: Vec<MaterialInfo>,
     },
     Measured {
@@ -131,25 +135,20 @@ struct MaterialInfo {
 /// What a surface is made of.
 #[derive(Serialize)]
 struct SurfaceInfo {
-    /// Width and height in texels, from the finest.
+    /// Width and height of its maps in texels, from the finest.
     levels: Vec<[usize; 2]>,
+    /// The same of its latent codes, if it has some.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    latent_levels: Vec<[usize; 2]>,
     wrap: Wrap,
     filter: Filter,
-    /// Of the finest level in the file; the others are made when it is opened.
-    stored: Vec<Part>,
-    /// Of all levels in memory.
+    precision: Precision,
+    /// Of all levels of both.
     memory_bytes: usize,
     far: FarField,
 }
 
-/// Bytes of one of the parts of a surface.
-#[derive(Serialize)]
-struct Part {
-    name: &'static str,
-    bytes: usize,
-}
-
-/// The surface from afar.
+/// The maps of a surface from afar.
 #[derive(Serialize)]
 struct FarField {
     kd: [f32; 3],
@@ -162,52 +161,56 @@ struct FarField {
 }
 
 impl SurfaceInfo {
-    fn new(maps: &Maps) -> SurfaceInfo {
-        let Texel { kd, f0, alpha, .. } = maps.mean();
+    /// Of a surface; `None` of what is the same everywhere.
+    fn new(material: &Material) -> Option<SurfaceInfo> {
+        let (maps, latents) = match material.model() {
+            AnyModel::Maps(maps) => (maps, None),
+            AnyModel::Gated(gated) => (&gated.parts().maps, Some(&gated.parts().latents)),
+            _ => return None,
+        };
+        let Texel { kd, f0, alpha: texel_alpha, .. } = maps.mean();
         let facet = maps.at(&Place::far());
-        let [width, height] = maps.size();
-        let part =
-            |(name, numbers): (_, usize)| Part { name, bytes: numbers * size_of::<f32>() * width * height };
-        SurfaceInfo {
+        let far = FarField { kd, f0, texel_alpha, alpha: facet.alpha(), normal: facet.normal().to_array() };
+        Some(SurfaceInfo {
             levels: maps.sizes().collect(),
+            latent_levels: latents.iter().flat_map(|latents| latents.layout().sizes()).collect(),
             wrap: maps.wrap(),
             filter: maps.filter(),
-            stored: [("kd", 3), ("F0", 3), ("alpha", 1), ("slope", 2)].map(part).into(),
-            memory_bytes: maps.bytes(),
-            far: FarField {
-                kd,
-                f0,
-                texel_alpha: alpha,
-                alpha: facet.alpha(),
-                normal: facet.normal().to_array(),
-            },
-        }
+            precision: maps.precision(),
+            memory_bytes: maps.bytes() + latents.map_or(0, |latents| size_of_val(latents.all_texels())),
+            far,
+        })
     }
 
     fn text(&self) -> String {
-        let levels: Vec<String> =
-            self.levels.iter().map(|[width, height]| format!("{width}×{height}")).collect();
-        let part = |part: &Part| format!("{} {}", part.name, thousands(part.bytes as u64));
-        let stored: Vec<String> = self.stored.iter().map(part).collect();
+        let sizes = |levels: &[[usize; 2]]| {
+            levels.iter().map(|[width, height]| format!("{width}×{height}")).collect::<Vec<_>>().join(" ")
+        };
         let numbers = |numbers: &[f32]| {
             numbers.iter().map(|number| format!("{number:.3}")).collect::<Vec<_>>().join(" ")
         };
         let filter = match self.filter {
             Filter::Average => "averages of the maps",
+            Filter::Fitted => "fitted to what is seen of the finest level",
             Filter::Moments => "averages, and the variance of slopes as roughness",
         };
         let wrap = match self.wrap {
             Wrap::Repeat => "the maps repeat",
             Wrap::Clamp => "the texels at the edge go on",
         };
+        let stored = match self.precision {
+            Precision::F32 => "float32",
+            Precision::F16 => "float16",
+            Precision::U8 => "8 bits",
+        };
         let FarField { kd, f0, texel_alpha, alpha, .. } = &self.far;
         let mut text = String::new();
-        line(&mut text, &format!("    levels     {}", levels.join(" ")));
-        line(&mut text, &format!("    stored     {} bytes", stored.join(", ")));
-        line(
-            &mut text,
-            &format!("    in memory  {} bytes of all levels", thousands(self.memory_bytes as u64)),
-        );
+        line(&mut text, &format!("    levels     {}", sizes(&self.levels)));
+        if !self.latent_levels.is_empty() {
+            line(&mut text, &format!("    latents    {}", sizes(&self.latent_levels)));
+        }
+        let memory = thousands(self.memory_bytes as u64);
+        line(&mut text, &format!("    stored     {stored}; {memory} bytes in memory"));
         line(&mut text, &format!("    filter     {filter}"));
         line(&mut text, &format!("    wrap       {wrap}"));
         line(
@@ -277,7 +280,15 @@ impl Info {
                 line(&mut text, &format!("  f            mean {}, largest {}", rgb(mean), rgb(largest)));
                 odd.iter().for_each(|oddity| line(&mut text, &format!("  odd          {oddity}")));
             }
-            Content::Library { described, network, bytes_per_material, shared_bytes, materials, .. } => {
+            Content::Library {
+                described,
+                network,
+                bytes_per_material,
+                shared_bytes,
+                tensor_bytes,
+                materials,
+                ..
+            } => {
                 let count = materials.len();
                 let plural = if count == 1 { "" } else { "s" };
                 line(
@@ -291,6 +302,12 @@ impl Info {
                 line(&mut text, &format!("  form         {described}"));
                 let (own, shared) = (thousands(*bytes_per_material as u64), thousands(*shared_bytes as u64));
                 line(&mut text, &format!("  size         {own} bytes per material and {shared} shared"));
+                if !tensor_bytes.is_empty() {
+                    let part =
+                        |(name, bytes): (&String, &usize)| format!("{name} {}", thousands(*bytes as u64));
+                    let parts: Vec<String> = tensor_bytes.iter().map(part).collect();
+                    line(&mut text, &format!("  parts        {} bytes", parts.join(", ")));
+                }
                 let width = materials
                     .iter()
                     .map(|material| printable(&material.name).chars().count())
@@ -315,6 +332,11 @@ fn library_content(library: &Library) -> Result<Content> {
         network: first.network().map(NetworkInfo::new),
         bytes_per_material,
         shared_bytes,
+        tensor_bytes: if first.is_surface() {
+            library.bytes_by_tensor()?.into_iter().collect()
+        } else {
+            BTreeMap::new()
+        },
         materials: library.entries()?.into_iter().map(MaterialInfo::new).collect(),
     })
 }
@@ -368,7 +390,7 @@ impl MaterialInfo {
             eta: microfacet.map(|m| m.eta),
             alpha: microfacet.map(|m| m.alpha),
             latent: entry.material.latent().to_vec(),
-            surface: <&Maps>::try_from(&entry.material).ok().map(SurfaceInfo::new),
+            surface: SurfaceInfo::new(&entry.material),
             origin: entry.origin.clone(),
         }
     }

@@ -204,7 +204,11 @@ fn of_materials(directory: &Path) -> Result<Vec<PathBuf>> {
 fn in_directory(directory: &Path) -> Result<Vec<PathBuf>> {
     let mut files = of_materials(directory)?;
     if files.is_empty() {
-        bail!("{} holds no file whose name ends in {}", directory.display(), ENDINGS.join(", "));
+        bail!(
+            "{} holds no file whose name ends in {}; texture maps become one by glimt convert",
+            directory.display(),
+            ENDINGS.join(", ")
+        );
     }
     files.sort();
     Ok(files)

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use glimt_core::Library;
 use glimt_core::library::{Entry, Origin, SourceFile};
 use glimt_core::models::maps::Filter;
-use glimt_core::surface::Wrap;
+use glimt_core::surface::{Precision, Wrap};
 use glimt_files::{Source, sha256, sha256_of};
 use glimt_textures::{Error, Finding, Folder, MEMORY, Size};
 
@@ -25,6 +25,9 @@ pub struct Options {
     /// What lies beyond the edges of texture maps [default: repeat]
     #[arg(long, value_enum, value_name = "WRAP")]
     wrap: Option<WrapName>,
+    /// How texture maps are kept in the library [default: f32]
+    #[arg(long, value_enum, value_name = "PRECISION")]
+    precision: Option<PrecisionName>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -43,6 +46,16 @@ enum WrapName {
     Clamp,
 }
 
+#[derive(Clone, Copy, ValueEnum)]
+enum PrecisionName {
+    /// 36 bytes a texel
+    F32,
+    /// 18 bytes a texel
+    F16,
+    /// 9 bytes a texel, in steps as images have them
+    U8,
+}
+
 impl Options {
     /// Refuses options that have nothing to apply to.
     ///
@@ -53,6 +66,7 @@ impl Options {
             ("--size", self.size.is_some()),
             ("--filter", self.filter.is_some()),
             ("--wrap", self.wrap.is_some()),
+            ("--precision", self.precision.is_some()),
         ];
         match given.iter().find(|(_, is_given)| *is_given) {
             None => Ok(()),
@@ -79,6 +93,14 @@ impl Options {
             Some(WrapName::Clamp) => Wrap::Clamp,
         }
     }
+
+    fn precision(&self) -> Precision {
+        match self.precision {
+            None | Some(PrecisionName::F32) => Precision::F32,
+            Some(PrecisionName::F16) => Precision::F16,
+            Some(PrecisionName::U8) => Precision::U8,
+        }
+    }
 }
 
 /// A material of texture maps.
@@ -87,6 +109,8 @@ pub struct Opened {
     pub source: Source,
     /// What was taken, filled in, resized and odd.
     pub findings: Vec<Finding>,
+    /// The files that were taken.
+    pub files: Vec<PathBuf>,
 }
 
 /// Whether a path is a folder of texture maps, or a file that names or is one; if not, it is for [`inputs::open`].
@@ -117,13 +141,18 @@ pub fn open(
     let maps = folder.maps(options.size(), MEMORY).map_err(|error| with_advice(error, &folder))?;
     let surface = maps.surface(options.wrap(), options.filter());
     let surface = surface.map_err(|reason| anyhow!("{}: {reason}", path.display()))?;
+    let surface = match options.precision() {
+        Precision::F32 => surface,
+        precision => surface.rounded(precision),
+    };
     let findings = folder.findings().iter().chain(&maps.findings).cloned().collect();
     let entry = Entry {
         name: folder.material().to_owned(),
         material: surface.into(),
         origin: origin(&folder, command)?,
     };
-    Ok(Opened { source: Source::Library(Library::new(path, vec![entry])?), findings })
+    let files = folder.files().into_iter().map(Path::to_owned).collect();
+    Ok(Opened { source: Source::Library(Library::new(path, vec![entry])?), findings, files })
 }
 
 /// Smaller maps take less memory, unless it is the image itself that takes too much.

@@ -8,6 +8,7 @@ use std::path::Path;
 
 use glimt_disk::write_whole;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::adamw::Moments;
@@ -16,20 +17,23 @@ use crate::input::{Input, identities};
 use crate::options::Options;
 use crate::train::State;
 
-/// A fit that can go on.
+/// A fit that can go on; `O` are its options.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Checkpoint {
+pub struct CheckpointOf<O> {
     /// What was asked for.
-    pub options: Options,
+    pub options: O,
     /// The materials by name and hash of their source.
     pub materials: Vec<(String, String)>,
     /// Where the fit is.
     pub state: State,
 }
 
+/// A fit of materials that can go on.
+pub type Checkpoint = CheckpointOf<Options>;
+
 #[derive(Serialize, Deserialize)]
-struct Header {
-    options: Options,
+struct Header<O> {
+    options: O,
     materials: Vec<(String, String)>,
     step: u64,
 }
@@ -42,7 +46,9 @@ impl Checkpoint {
     pub fn new(inputs: &[Input], options: &Options, state: State) -> Checkpoint {
         Checkpoint { options: options.clone(), materials: identities(inputs), state }
     }
+}
 
+impl<O: Clone + Serialize + DeserializeOwned> CheckpointOf<O> {
     /// Writes the checkpoint: whole, or not at all.
     ///
     /// # Errors
@@ -86,7 +92,7 @@ impl Checkpoint {
             };
             failed(path, format!("cannot be read: {e}{hint}"))
         })?;
-        Checkpoint::from_bytes(&bytes).map_err(|reason| failed(path, reason))
+        CheckpointOf::from_bytes(&bytes).map_err(|reason| failed(path, reason))
     }
 
     /// Decodes the bytes of a checkpoint.
@@ -102,12 +108,12 @@ fn failed(path: &Path, reason: String) -> Error {
     Error::Checkpoint { path: path.to_path_buf(), reason }
 }
 
-fn decode(bytes: &[u8]) -> Result<Checkpoint, String> {
+fn decode<O: DeserializeOwned>(bytes: &[u8]) -> Result<CheckpointOf<O>, String> {
     let container = |e: safetensors::SafeTensorError| format!("as a safetensors file it is broken: {e}");
     let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(container)?;
     let json = metadata.metadata().as_ref().and_then(|m| m.get(KEY));
     let json = json.ok_or("it is not a checkpoint of glimt")?;
-    let header: Header =
+    let header: Header<O> =
         serde_json::from_str(json).map_err(|e| format!("it is of another version of glimt: {e}"))?;
     let file = SafeTensors::deserialize(bytes).map_err(container)?;
     let words = |name: &str, dtype: Dtype| -> Result<Vec<[u8; 4]>, String> {
@@ -133,5 +139,5 @@ fn decode(bytes: &[u8]) -> Result<Checkpoint, String> {
         return Err("its tensors differ in length".into());
     }
     let state = State { numbers, moments: Moments { first, second, touched }, step: header.step };
-    Ok(Checkpoint { options: header.options, materials: header.materials, state })
+    Ok(CheckpointOf { options: header.options, materials: header.materials, state })
 }

@@ -2,21 +2,21 @@
 
 use glimt_core::library::Entry;
 
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, CheckpointOf};
 use crate::error::Error;
 use crate::fittable::Fit;
 use crate::input::{Input, identities};
 use crate::options::Options;
-use crate::train::{MAX_BLOCKS, Schedule, Watch};
+use crate::train::{MAX_BLOCKS, Schedule, State, Watch};
 
-/// How a fit ended.
+/// How a fit with options `O` ended.
 // A fit has one outcome, whose size does not matter.
 #[allow(clippy::large_enum_variant)]
-pub enum Outcome {
+pub enum Outcome<O = Options> {
     /// Every step is done.
     Done(Vec<Entry>),
     /// It was stopped, and can go on from here; `None` if there is nothing yet to go on from.
-    Stopped(Option<Checkpoint>),
+    Stopped(Option<CheckpointOf<O>>),
 }
 
 /// Fits one library to all `inputs`; goes on from `resume` if it is given.
@@ -31,20 +31,30 @@ pub fn fit(
     watch: &mut Watch,
 ) -> Result<Outcome, Error> {
     check(&options.schedule)?;
-    if let Some(checkpoint) = &resume {
-        let refused = |what: &str| Err(Error::Options(format!("the checkpoint was made with other {what}")));
-        if checkpoint.options != *options {
-            return refused("options; use the same ones");
-        }
-        if checkpoint.materials != identities(inputs) {
-            return refused("materials; use the same files");
-        }
-    }
-    let resumed = resume.map(|checkpoint| checkpoint.state);
+    let resumed = resume.map(|checkpoint| state_of(checkpoint, options, &identities(inputs))).transpose()?;
     Ok(match options.model.fittable().fit(inputs, &options.schedule, resumed, watch)? {
         Fit::Done(entries) => Outcome::Done(entries),
         Fit::Stopped(state) => Outcome::Stopped(state.map(|state| Checkpoint::new(inputs, options, state))),
     })
+}
+
+/// Where the fit of a checkpoint is, if it is one with these options of these materials.
+///
+/// # Errors
+/// [`Error::Options`] if it is of another.
+pub(crate) fn state_of<O: PartialEq>(
+    checkpoint: CheckpointOf<O>,
+    options: &O,
+    materials: &[(String, String)],
+) -> Result<State, Error> {
+    let refused = |what: &str| Err(Error::Options(format!("the checkpoint was made with other {what}")));
+    if checkpoint.options != *options {
+        return refused("options; use the same ones");
+    }
+    if checkpoint.materials != materials {
+        return refused("materials; use the same files");
+    }
+    Ok(checkpoint.state)
 }
 
 fn check(schedule: &Schedule) -> Result<(), Error> {

@@ -17,7 +17,7 @@ use std::ffi::c_void;
 use glimt_core::material::At;
 use glimt_core::simd::LANES;
 use glimt_core::surface::{Footprint, Place};
-use glimt_core::{Brdf, Sample, SampleBrdf, Vec3};
+use glimt_core::{Sample, SampleBrdf, Vec3};
 
 use crate::material::{Material, guarded};
 use crate::ray_hit::{RayHit, address_of_width};
@@ -47,14 +47,15 @@ unsafe extern "C" fn eval_at_packet<const N: usize>(
 ) {
     // SAFETY: the caller's promise.
     let (valid, packet) = unsafe { (&*valid.cast::<[i32; N]>(), &mut *packet) };
+    let mut pairs = Pairs::<N>::none();
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
-        let (f, pdf) = guarded((Vec3::ZERO, 0.0), || {
-            let (light, view) = (packet.origin_of(lane), packet.direction_of(lane));
-            // SAFETY: the lane is active.
-            unsafe { seen(packet, lane, |at| (at.eval(light, view), at.pdf(light, view))) }
-        });
-        packet.answer(lane, f, pdf);
+        let (light, view) = (packet.origin_of(lane), packet.direction_of(lane));
+        // SAFETY: the lane is active.
+        packet.geometry[lane] = guarded(0.0, || unsafe { seen(packet, lane, |at| at.pdf(light, view)) });
+        pairs.push(packet, lane, light);
     }
+    // SAFETY: its lanes are active.
+    guarded((), || unsafe { pairs.eval(packet) });
 }
 
 /// A sample for every active lane. Arguments and safety as for [`eval_at_packet`].
@@ -66,15 +67,80 @@ unsafe extern "C" fn sample_at_packet<const N: usize>(
 ) {
     // SAFETY: the caller's promise.
     let (valid, packet) = unsafe { (&*valid.cast::<[i32; N]>(), &mut *packet) };
+    let mut pairs = Pairs::<N>::none();
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
-        let sample = guarded(Sample::FAILED, || {
-            let (u, view) = (packet.origin_of(lane), packet.direction_of(lane));
-            // SAFETY: the lane is active.
-            unsafe { seen(packet, lane, |at| at.sample(view, u)) }
-        });
-        packet.answer(lane, sample.weight, sample.pdf);
-        let Vec3 { x, y, z } = sample.light;
+        let (u, view) = (packet.origin_of(lane), packet.direction_of(lane));
+        // SAFETY: the lane is active.
+        let sample = || unsafe { seen(packet, lane, |at| at.sample_direction(view, u)) };
+        let (light, pdf) = guarded(None, sample).unwrap_or((Sample::FAILED.light, 0.0));
+        packet.geometry[lane] = pdf;
+        pairs.push(packet, lane, light);
+    }
+    // SAFETY: its lanes are active.
+    guarded((), || unsafe { pairs.eval(packet) });
+    for (pair, &lane) in pairs.lanes[..pairs.len].iter().enumerate() {
+        let [x, y, z] = pairs.light.map(|component| component[pair]);
+        let pdf = packet.geometry[lane];
+        let weight = packet.hit.map(|f| f[lane] * (z / pdf));
+        let is_sound = pdf > 0.0 && weight.iter().all(|weight| weight.is_finite());
+        let (weight, pdf) = if is_sound { (weight.into(), pdf) } else { (Vec3::ZERO, 0.0) };
+        packet.answer(lane, weight, pdf);
         (packet.far[lane], packet.instance[lane]) = (x / (1.0 + z), y / (1.0 + z));
+    }
+}
+
+/// Pairs of directions of a packet, one a lane, without the lanes that are not asked.
+struct Pairs<const N: usize> {
+    lanes: [usize; N],
+    len: usize,
+    places: [Place; N],
+    light: [[f32; N]; 3],
+    view: [[f32; N]; 3],
+}
+
+impl<const N: usize> Pairs<N> {
+    fn none() -> Self {
+        let zeros = [[0.0; N]; 3];
+        Pairs { lanes: [0; N], len: 0, places: [Place::far(); N], light: zeros, view: zeros }
+    }
+
+    fn push(&mut self, packet: &RayHit<N>, lane: usize, light: Vec3) {
+        self.lanes[self.len] = lane;
+        self.places[self.len] = place_of(packet, lane);
+        for c in 0..3 {
+            self.light[c][self.len] = light[c];
+            self.view[c][self.len] = packet.direction[c][lane];
+        }
+        self.len += 1;
+    }
+
+    /// Answers f of every pair in u, v and the primitive of its lane: neighbours of one material at a time.
+    ///
+    /// # Safety
+    ///
+    /// The lanes are active, so that they hold the addresses of live materials.
+    unsafe fn eval(&self, packet: &mut RayHit<N>) {
+        let mut first = 0;
+        while first < self.len {
+            // SAFETY: the caller's promise.
+            let material_of = |pair: usize| unsafe { packet.material(self.lanes[pair]) };
+            let material = material_of(first);
+            let same = (first..self.len).take_while(|&pair| std::ptr::eq(material_of(pair), material));
+            let run = first..first + same.count();
+            let mut f = [[0.0; N]; 3];
+            material.material.eval_packet_at(
+                &self.places[run.clone()],
+                self.light.each_ref().map(|component| &component[run.clone()]),
+                self.view.each_ref().map(|component| &component[run.clone()]),
+                f.each_mut().map(|channel| &mut channel[run.clone()]),
+            );
+            for pair in run.clone() {
+                for c in 0..3 {
+                    packet.hit[c][self.lanes[pair]] = f[c][pair];
+                }
+            }
+            first = run.end;
+        }
     }
 }
 
@@ -138,7 +204,7 @@ mod tests {
     use glimt_core::library::{Entry, Origin};
     use glimt_core::models::maps::{Filter, Maps, Texel};
     use glimt_core::surface::Wrap;
-    use glimt_core::{Library, Material as AnyMaterial};
+    use glimt_core::{Brdf, Library, Material as AnyMaterial};
 
     use super::*;
     use crate::material::open;

@@ -114,6 +114,7 @@ impl PythonSubject {
                 conserving: claim("conserving")?,
                 transmits: claim("transmits")?,
                 two_sided: claim("two_sided")?,
+                tilted: false,
                 measured: false,
             },
             components: components.into_iter().map(|(name, delta)| Component { name, delta }).collect(),

@@ -24,7 +24,7 @@ impl Maps {
         let alpha = self.roughness[i] * self.roughness[i];
         let alpha = match filter {
             Filter::Moments if self.variance[i] > 0.0 => (alpha * alpha + self.variance[i]).sqrt().min(1.0),
-            Filter::Moments | Filter::Average => alpha,
+            Filter::Moments | Filter::Average | Filter::Fitted => alpha,
         };
         Texel {
             kd: base.map(|base| (1.0 - metal) * base),

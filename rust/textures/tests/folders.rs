@@ -163,7 +163,8 @@ fn a_folder_as_matsynth_packs_it() {
     assert_eq!(maps.base_color[0], [1.0, 0.0, 0.0]);
     assert_eq!((maps.metalness[0], maps.roughness[0], maps.specular[0]), (1.0, 0.0, 0.04));
     assert!(said(&folder).contains("diffuse.png is not used: basecolor.png is taken for the colour"));
-    assert_eq!(folder.files().len(), 4);
+    // The heights say which way the normals point.
+    assert_eq!(folder.files().len(), 5);
 }
 
 #[test]

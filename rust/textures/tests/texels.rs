@@ -5,6 +5,8 @@ mod common;
 use common::{
     encoded_exr, exr, flat, floats, grey_jpeg, halves, jpeg, maps, open, png, png_that_claims, png16, refusal,
 };
+use glimt_core::models::maps::Filter;
+use glimt_core::surface::Wrap;
 use glimt_textures::{Finding, Folder, MEMORY, Maps, Oddity, Size};
 use proptest::prelude::*;
 
@@ -111,6 +113,8 @@ fn check_promises(maps: &Maps) {
     assert_eq!((maps.metalness.len(), maps.specular.len()), (texels, texels));
     let scalars = maps.roughness.iter().chain(&maps.metalness).chain(&maps.specular);
     assert!(scalars.chain(maps.base_color.iter().flatten()).all(|x| (0.0..=1.0).contains(x)));
+    assert_eq!(maps.variance.len(), texels);
+    assert!(maps.variance.iter().all(|x| x.is_finite() && *x >= 0.0));
     for [x, y, z] in &maps.normal {
         assert!((x * x + y * y + z * z - 1.0).abs() < 1e-5 && *z > 0.04);
     }
@@ -147,7 +151,7 @@ fn maps_of_other_shapes_are_refused_and_of_other_sizes_resized() {
     for size in [Size::Own, Size::LongestSide(2), Size::Exactly([3, 3])] {
         let maps = smaller.maps(size, MEMORY).unwrap();
         assert_eq!(maps.size, smaller.size(size));
-        let mean = maps.roughness.iter().sum::<f32>() / maps.roughness.len() as f32;
+        let mean = maps.roughness.iter().map(|r| r * r).sum::<f32>() / maps.roughness.len() as f32;
         assert!((mean - 0.5).abs() < 1e-6, "{size:?}: {mean}");
         check_promises(&maps);
     }
@@ -186,14 +190,14 @@ fn memory_is_compared_with_the_limit_before_it_is_taken() {
     let message = folder.maps(Size::Own, MEMORY).unwrap_err().to_string();
     assert_eq!(
         message,
-        "wood/a_Color.png has 30000 × 30000 texels: to decode it and make maps of 30000 × 30000 takes 36.0 GiB, \
+        "wood/a_Color.png has 30000 × 30000 texels: to decode it and make maps of 30000 × 30000 takes 46.1 GiB, \
          expected at most 1.0 GiB"
     );
     let message = folder.maps(Size::LongestSide(256), MEMORY).unwrap_err().to_string();
     assert!(message.contains("make maps of 256 × 256 takes 2.5 GiB"), "{message}");
     let folder = open(&[("a_Color.png", flat([64, 64], [9; 3]))]).unwrap();
     let bytes = folder.memory(Size::Own);
-    assert_eq!(bytes, 64 * 64 * (40 + 3));
+    assert_eq!(bytes, 64 * 64 * (52 + 3));
     assert!(folder.maps(Size::Own, bytes - 1).is_err() && folder.maps(Size::Own, bytes).is_ok());
     assert!(folder.memory(Size::Exactly([usize::MAX; 2])) == u64::MAX);
 }
@@ -263,6 +267,58 @@ fn decoding_to_a_size_is_decoding_and_resizing() {
         assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6), "{a:?} {b:?}");
     }
     assert!(once.roughness.iter().zip(&twice.roughness).all(|(a, b)| (a - b).abs() < 1e-6));
+    assert!(once.variance.iter().zip(&twice.variance).all(|(a, b)| *a > 0.0 && (a - b).abs() < 1e-6));
+}
+
+#[test]
+fn a_reduction_keeps_the_mean_alpha_and_the_variance_of_slopes() {
+    let grooves = grooves();
+    assert!(grooves.variance.iter().all(|&variance| variance == 0.0));
+    let halfway = grooves.resized([8, 8]);
+    let (once, twice) = (grooves.resized([4, 4]), halfway.resized([4, 4]));
+    for (a, b) in once.variance.iter().zip(&twice.variance) {
+        // Of the slopes 0.3, 0.3, 0.3 and −0.9.
+        assert!((a - 0.27).abs() < 1e-4 && (a - b).abs() < 1e-6, "{a} {b}");
+    }
+    let roughness = png([2, 1], |x, _| [if x == 0 { 51 } else { 204 }]);
+    let maps = maps(&[("a_Color.png", png([2, 1], ramp)), ("a_Roughness.png", roughness)]).resized([1, 1]);
+    assert!((maps.roughness[0] * maps.roughness[0] - 0.5 * (0.04 + 0.64)).abs() < 1e-6);
+    // Between the texels of a larger map there is no roughness.
+    assert!(grooves.resized([32, 32]).variance.iter().all(|&variance| variance == 0.0));
+}
+
+#[test]
+fn a_surface_has_the_parameters_of_a_facet_from_the_bottom_up() {
+    let byte = |x: f64| (65535.0 * (0.5 + 0.5 * x)).round() as u16;
+    let maps = maps(&[
+        // White above, black below.
+        ("a_Color.png", png([1, 2], |_, y| [if y == 0 { 255 } else { 0 }; 3])),
+        ("a_Metalness.png", png([1, 2], |_, y| [if y == 0 { 51 } else { 0 }])),
+        ("a_Roughness.png", png([1, 2], |_, _| [51])),
+        // To the right and up in the image: the surface falls along u and v.
+        (
+            "a_NormalGL.png",
+            png16([1, 2], |_, y| {
+                if y == 0 { [byte(0.36), byte(0.48), byte(0.8)] } else { [byte(0.0), byte(0.0), byte(1.0)] }
+            }),
+        ),
+    ]);
+    let surface = maps.surface(Wrap::Repeat, Filter::Average).unwrap();
+    assert_eq!((surface.size(), surface.wrap(), surface.filter()), ([1, 2], Wrap::Repeat, Filter::Average));
+    let [bottom, top] = [surface.texel(0, 0), surface.texel(0, 1)];
+    assert_eq!((bottom.kd, bottom.f0, top.kd), ([0.0; 3], [0.04; 3], [0.8; 3]));
+    assert!((top.f0[1] - (0.8 * 0.04 + 0.2)).abs() < 1e-6 && (top.alpha - 0.04).abs() < 1e-6);
+    assert!((top.slope[0] + 0.45).abs() < 1e-3 && (top.slope[1] + 0.6).abs() < 1e-3, "{:?}", top.slope);
+    assert!(bottom.slope.iter().all(|slope| slope.abs() < 1e-4));
+
+    let reduced = maps.resized([1, 1]);
+    let texel = |filter| reduced.texels(filter).next().unwrap();
+    let [average, moments] = [Filter::Average, Filter::Moments].map(texel);
+    assert!((average.alpha - 0.04).abs() < 1e-6);
+    // Half of the way from the mean to either slope.
+    let variance = (0.45 * 0.45 + 0.6 * 0.6) / 4.0;
+    assert!((moments.alpha - f32::sqrt(0.04 * 0.04 + variance)).abs() < 1e-3, "{}", moments.alpha);
+    assert_eq!(average.slope, moments.slope);
 }
 
 #[test]

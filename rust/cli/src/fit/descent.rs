@@ -39,12 +39,7 @@ pub fn descend(job: &mut Job, options: &Options, resume: Option<Checkpoint>) -> 
         Outcome::Stopped(None) => bail!("stopped before there was anything to save"),
         Outcome::Stopped(Some(checkpoint)) => {
             checkpoint.save(keeper.path())?;
-            bail!(
-                "stopped at step {} of {}; the same command with --resume goes on from {}",
-                checkpoint.state.step,
-                options.schedule.steps,
-                keeper.path().display()
-            );
+            bail!(super::stopped(checkpoint.state.step, options.schedule.steps, keeper.path()));
         }
     }
 }

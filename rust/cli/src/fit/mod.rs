@@ -4,6 +4,7 @@
 
 mod descent;
 mod factor;
+mod gated;
 mod ggx;
 mod hybrid;
 mod job;
@@ -27,11 +28,12 @@ use glimt_fit::doubts_of;
 
 use crate::fitting::{self, JsonErrors};
 use crate::output::{Format, Overwrite};
-use crate::{inputs, output};
+use crate::{Usage, inputs, output};
 use descent::descend;
+use gated::{GatedArguments, SurfaceMaps};
 use job::{Job, Truths};
 use keeper::Keeper;
-use model::Chosen;
+use model::{Choice, Chosen};
 use shared::Pairs;
 use up_to_date::Recipe;
 
@@ -180,21 +182,28 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let checkpoint_path = checkpoint_path(&common.output);
     let outputs: Vec<&Path> =
         [&*common.output, &checkpoint_path].into_iter().chain(common.json.file()).collect();
+    let keeper = Keeper::new(&checkpoint_path);
+    match chosen {
+        Choice::Brdf(chosen) => fit_brdfs(arguments, &chosen, keeper, &outputs),
+        Choice::Surface(gated) => fit_surface(arguments, &gated, keeper, &outputs),
+    }
+}
+
+fn fit_brdfs(arguments: &Arguments, chosen: &Chosen, keeper: Keeper, outputs: &[&Path]) -> Result<()> {
+    let common = &arguments.common;
     let files = match &common.from_mitsuba {
         Some(scene) => {
-            inputs::keep_apart([scene.as_path()], &outputs)?;
+            inputs::keep_apart([scene.as_path()], outputs)?;
             Vec::new()
         }
-        None => inputs::expand(&common.files, &outputs)?,
+        None => inputs::expand(&common.files, outputs)?,
     };
     // A scene can read any other file: there, nothing says that nothing has changed.
     let recipe = common.from_mitsuba.is_none().then(|| arguments.recipe(&files)).transpose()?;
-    if common.if_changed
-        && let Some(library) = recipe.as_ref().and_then(|recipe| recipe.find(&common.output))
-    {
+    if let Some(library) = common.unchanged(recipe.as_ref()) {
         return skip(common, &library);
     }
-    let resume = chosen.checkpoint(&checkpoint_path)?;
+    let resume = chosen.checkpoint(keeper.path())?;
     let mut truths = match &common.from_mitsuba {
         Some(scene) => Truths::simulate(scene, common.bsdf.as_deref())?,
         None => Truths::open(&files, &common.files)?,
@@ -202,7 +211,6 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     let pairs = chosen.pairs();
     let held = pairs.map_or_else(BTreeMap::new, |pairs| truths.hold_out(&pairs.hold_out, common.seed));
     let inputs = truths.inputs(pairs.is_some_and(|pairs| pairs.anisotropic))?;
-    let keeper = Keeper::new(&checkpoint_path);
     let mut job = Job { truths: &truths, inputs, keeper, seed: common.seed };
     let (mut entries, notes) = chosen.fit(&mut job, resume)?;
     // Measuring takes a while: the library is saved before, and again with its errors.
@@ -210,16 +218,68 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     fitting::warn(&doubts_of(&entries));
     fitting::measure(&mut entries, &job.inputs, &held);
     truths.check_running()?;
-    let mut library = Library::new(&common.output, entries)?;
-    if let Some(recipe) = &recipe {
-        library = recipe.stamp(library)?;
-    }
-    library.save()?;
+    let library = common.save(entries, recipe.as_ref())?;
     job.keeper.forget(chosen.resumes());
     if !common.json.is_printed() {
         output::print(&notes)?;
     }
     fitting::print_errors(&library, &library.entries()?, &common.json)
+}
+
+fn fit_surface(
+    arguments: &Arguments,
+    gated: &GatedArguments,
+    mut keeper: Keeper,
+    outputs: &[&Path],
+) -> Result<()> {
+    let common = &arguments.common;
+    if common.from_mitsuba.is_some() {
+        return Err(
+            Usage("--from-mitsuba does not apply to --model gated, which is fitted to maps".into()).into()
+        );
+    }
+    let maps = SurfaceMaps::open(&common.files, gated, outputs)?;
+    let recipe = arguments.recipe(&maps.files)?;
+    if let Some(library) = common.unchanged(Some(&recipe)) {
+        return skip(common, &library);
+    }
+    if !common.json.is_printed() {
+        output::print(&maps.findings)?;
+    }
+    let entry = maps.fit(gated, common.seed, &mut keeper)?;
+    Library::new(&common.output, vec![entry.clone()])?.save()?;
+    let (entry, table) = maps.measure(entry)?;
+    let library = common.save(vec![entry], Some(&recipe))?;
+    keeper.forget(gated.resume.resume);
+    if !common.json.is_printed() {
+        output::print(&table)?;
+    }
+    fitting::give_json(&library, &library.entries()?, &common.json)
+}
+
+impl Common {
+    /// The output, if it is asked about and follows from this recipe.
+    fn unchanged(&self, recipe: Option<&Recipe>) -> Option<Library> {
+        recipe.filter(|_| self.if_changed)?.find(&self.output)
+    }
+
+    /// Writes the library.
+    fn save(&self, entries: Vec<Entry>, recipe: Option<&Recipe>) -> Result<Library> {
+        let mut library = Library::new(&self.output, entries)?;
+        if let Some(recipe) = recipe {
+            library = recipe.stamp(library)?;
+        }
+        library.save()?;
+        Ok(library)
+    }
+}
+
+/// What is said of a fit that was stopped.
+fn stopped(step: u64, steps: u64, checkpoint: &Path) -> String {
+    format!(
+        "stopped at step {step} of {steps}; the same command with --resume goes on from {}",
+        checkpoint.display()
+    )
 }
 
 /// Says that there is nothing to do, and gives the errors to a program that asks for them.

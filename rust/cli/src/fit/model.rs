@@ -6,7 +6,7 @@ use clap::builder::Arg;
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args, Command, FromArgMatches, ValueEnum};
 
-use super::{factor, ggx, hybrid, neural, spherical};
+use super::{factor, gated, ggx, hybrid, neural, spherical};
 use crate::Usage;
 
 /// A model that can be fitted.
@@ -23,9 +23,19 @@ pub enum ModelName {
     /// Features in tables on hemispheres, decoded by a small network: tens of kilobytes a material, near the
     /// measurement's own noise
     Spherical,
+    /// Texture maps, corrected at every scale by latent codes, angular textures and a small network: a surface
+    Gated,
 }
 
-/// The options of the model that was chosen.
+/// What was chosen, with its options.
+pub enum Choice {
+    /// A model of BRDFs.
+    Brdf(Chosen),
+    /// A model of surfaces.
+    Surface(gated::GatedArguments),
+}
+
+/// The options of the model of BRDFs that was chosen.
 pub enum Chosen {
     Ggx(ggx::GgxArguments),
     Hybrid(hybrid::HybridArguments),
@@ -56,6 +66,7 @@ impl ModelName {
             ModelName::Neural => neural::NeuralArguments::augment_args(command),
             ModelName::Factor => factor::FactorArguments::augment_args(command),
             ModelName::Spherical => spherical::SphericalArguments::augment_args(command),
+            ModelName::Gated => gated::GatedArguments::augment_args(command),
         };
         command.get_arguments().cloned().collect()
     }
@@ -64,15 +75,17 @@ impl ModelName {
     ///
     /// # Errors
     /// An option that does not apply to it.
-    pub fn read(self, matches: &ArgMatches) -> anyhow::Result<Chosen> {
+    pub fn read(self, matches: &ArgMatches) -> anyhow::Result<Choice> {
         self.refuse_others(matches)?;
-        Ok(match self {
+        let chosen = match self {
             ModelName::Ggx => Chosen::Ggx(FromArgMatches::from_arg_matches(matches)?),
             ModelName::Hybrid => Chosen::Hybrid(FromArgMatches::from_arg_matches(matches)?),
             ModelName::Neural => Chosen::Neural(FromArgMatches::from_arg_matches(matches)?),
             ModelName::Factor => Chosen::Factor(FromArgMatches::from_arg_matches(matches)?),
             ModelName::Spherical => Chosen::Spherical(FromArgMatches::from_arg_matches(matches)?),
-        })
+            ModelName::Gated => return Ok(Choice::Surface(FromArgMatches::from_arg_matches(matches)?)),
+        };
+        Ok(Choice::Brdf(chosen))
     }
 
     fn refuse_others(self, matches: &ArgMatches) -> Result<(), Usage> {
@@ -148,7 +161,7 @@ mod tests {
     #[test]
     fn networks_are_told_by_their_option() {
         let with: Vec<_> = ModelName::value_variants().iter().filter(|model| model.has_network()).collect();
-        assert_eq!(with, [&ModelName::Hybrid, &ModelName::Neural, &ModelName::Spherical]);
+        assert_eq!(with, [&ModelName::Hybrid, &ModelName::Neural, &ModelName::Spherical, &ModelName::Gated]);
     }
 
     #[test]

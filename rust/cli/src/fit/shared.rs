@@ -26,13 +26,14 @@ pub struct Pairs {
 #[derive(Args)]
 pub struct Training {
     /// Width and number of the network's hidden layers: 16, 32 or 64 times 2 or 3 [default: 32x2; 16x2 with
-    /// --per-material; 64x2 for spherical]
+    /// --per-material and for gated; 64x2 for spherical]
     #[arg(long, value_name = "WxN", value_parser = parse_net)]
     pub net: Option<Net>,
     /// Steps of the optimiser (of each cluster for spherical; the analytic part always takes its own 1,500)
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_STEPS, value_parser = clap::value_parser!(u64).range(1..))]
-    pub steps: u64,
-    /// Learning rate at the start [default: 0.01; 0.02 for neural and spherical; 0.005 with --paper]
+    /// [default: 20000; 6000 for gated, each of which looks at more]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub steps: Option<u64>,
+    /// Learning rate at the start [default: 0.01; 0.02 for neural, spherical and gated; 0.005 with --paper]
     #[arg(long, value_name = "RATE")]
     pub rate: Option<f32>,
 }
@@ -40,7 +41,7 @@ pub struct Training {
 impl Training {
     /// One of the schedules, for so many steps and with the rate that was asked for.
     pub fn schedule(&self, standard: fn(u64, u64) -> Schedule, seed: u64) -> Schedule {
-        let schedule = standard(self.steps, seed);
+        let schedule = standard(self.steps.unwrap_or(DEFAULT_STEPS), seed);
         Schedule { rate: self.rate.unwrap_or(schedule.rate), ..schedule }
     }
 }

@@ -366,6 +366,14 @@ impl Library {
         Ok((own / self.names.len(), shared))
     }
 
+    /// Bytes of every tensor, by its name.
+    ///
+    /// # Errors
+    /// As [`Library::entries`].
+    pub fn bytes_by_tensor(&self) -> Result<Vec<(String, usize)>, Error> {
+        Ok(tensors(&self.entries()?).into_iter().map(|tensor| (tensor.name, tensor.bytes.len())).collect())
+    }
+
     /// Whether one network serves all materials.
     ///
     /// # Errors

@@ -15,7 +15,7 @@ use crate::kernels::network::tests::patterned_from;
 use crate::kernels::network::{Activation, Network};
 use crate::models::gated::texture::{Disk, Texture};
 use crate::models::gated::{Angles, Base, FEATURES, Gated, LATENT, Linear, Parts};
-use crate::models::maps::{FILED, Filter, Maps, Texel};
+use crate::models::maps::{FILED, Filter, Maps};
 use crate::surface::{Layout, Precision, Pyramid, Range, Wrap};
 
 /// What the metadata says of maps.
@@ -25,6 +25,16 @@ struct MapsForm {
     filter: Filter,
     #[serde(default)]
     precision: Precision,
+    /// Width and height of level 0, where the file has all levels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    size: Option<[usize; 2]>,
+}
+
+impl MapsForm {
+    fn of(maps: &Maps) -> MapsForm {
+        let size = (maps.filter() == Filter::Fitted).then(|| maps.size());
+        MapsForm { wrap: maps.wrap(), filter: maps.filter(), precision: maps.precision(), size }
+    }
 }
 
 const TYPES: [Dtype; 3] = [Dtype::F32, Dtype::F16, Dtype::U8];
@@ -116,8 +126,7 @@ fn read_texels<const C: usize>(
 
 impl Codec for Maps {
     fn form(&self) -> Option<Value> {
-        let form = MapsForm { wrap: self.wrap(), filter: self.filter(), precision: self.precision() };
-        Some(serde_json::to_value(form).expect("a form is names"))
+        Some(serde_json::to_value(MapsForm::of(self)).expect("a form is names and sizes"))
     }
 
     fn encode(materials: &[&Self]) -> Vec<Tensor> {
@@ -125,7 +134,10 @@ impl Codec for Maps {
         let precision = materials[0].precision();
         let rows: Vec<Vec<[f32; FILED]>> =
             materials.iter().map(|maps| maps.rows(precision).collect()).collect();
-        texels("maps", &[height, width], &rows, precision)
+        match materials[0].filter() {
+            Filter::Average | Filter::Moments => texels("maps", &[height, width], &rows, precision),
+            Filter::Fitted => texels("maps", &[materials[0].layout().texels()], &rows, precision),
+        }
     }
 
     fn decoder(file: &Tensors, form: Option<&Value>) -> Result<Decoder<Self>, String> {
@@ -140,7 +152,11 @@ impl Codec for Maps {
     fn specimens(_: Activation) -> Vec<[Self; 2]> {
         use crate::models::maps::tests::patterned;
         let maps = || patterned(5, 3, Filter::Moments);
-        Precision::ALL.map(|precision| [maps().rounded(precision), maps().rounded(precision)]).to_vec()
+        let fitted =
+            || Maps::of_levels(maps().layout().clone(), vec![maps().mean(); maps().layout().texels()]);
+        let fitted = || fitted().expect("as many texels as there are").rounded(Precision::U8);
+        let pairs = Precision::ALL.map(|precision| [maps().rounded(precision), maps().rounded(precision)]);
+        [&pairs[..], &[[fitted(), fitted()]]].concat()
     }
 
     fn check_together(&self, other: &Self) -> Result<(), String> {
@@ -148,12 +164,35 @@ impl Codec for Maps {
     }
 }
 
+/// Most texels along a side.
+const MOST_TEXELS: usize = 1 << 16;
+
+/// Where texels of such a size are.
+fn layout(size: [usize; 2], wrap: Wrap) -> Result<Layout, String> {
+    if size.iter().all(|side| (1..=MOST_TEXELS).contains(side)) {
+        return Ok(Layout::new(size, wrap));
+    }
+    let [width, height] = size;
+    Err(format!("it has {width}×{height} texels, expected 1 to {MOST_TEXELS} along each side"))
+}
+
 /// The maps of a material.
 fn decode_maps(file: &Tensors, form: &MapsForm, material: usize) -> Result<Maps, String> {
-    let (shape, rows) = read_texels::<FILED>(file, "maps", material, &[None, None])?;
-    let width = shape[1];
-    let texels = rows.iter().map(|&row| Texel::from_file(row, form.precision));
-    Ok(Maps::new(width, texels, form.wrap, form.filter)?.with_precision(form.precision))
+    let (layout, rows) = match (form.filter, form.size) {
+        (Filter::Average | Filter::Moments, _) => {
+            let (shape, rows) = read_texels(file, "maps", material, &[None, None])?;
+            (layout([shape[1], shape[0]], form.wrap)?, rows)
+        }
+        (Filter::Fitted, Some(size)) => {
+            let layout = layout(size, form.wrap)?;
+            let (_, rows) = read_texels(file, "maps", material, &[Some(layout.texels())])?;
+            (layout, rows)
+        }
+        (Filter::Fitted, None) => {
+            return Err("its metadata has no \"size\", which maps of fitted levels need".into());
+        }
+    };
+    Ok(Maps::of_file(&layout, rows, form.filter, form.precision)?)
 }
 
 /// What the metadata says of a gated surface.
@@ -164,7 +203,7 @@ struct GatedForm {
     base: Base,
     angles: Angles,
     /// Width and height of level 0 of the latent codes.
-    size: [usize; 2],
+    latents: [usize; 2],
     half: Disk,
     difference: Disk,
     frames: bool,
@@ -175,14 +214,10 @@ impl Codec for Gated {
     fn form(&self) -> Option<Value> {
         let parts = self.parts();
         let form = GatedForm {
-            maps: MapsForm {
-                wrap: parts.maps.wrap(),
-                filter: parts.maps.filter(),
-                precision: parts.maps.precision(),
-            },
+            maps: MapsForm::of(&parts.maps),
             base: parts.base,
             angles: parts.angles,
-            size: parts.latents.layout().size(),
+            latents: parts.latents.layout().size(),
             half: parts.half.disk(),
             difference: parts.difference.disk(),
             frames: parts.frames.is_some(),
@@ -192,19 +227,29 @@ impl Codec for Gated {
     }
 
     fn encode(materials: &[&Self]) -> Vec<Tensor> {
-        let parts = materials[0].parts();
-        let precision = parts.maps.precision();
-        let mut tensors = Maps::encode(&[&parts.maps]);
-        let latents = parts.latents.all_texels().to_vec();
-        tensors.extend(texels("latents", &[latents.len()], &[latents], precision));
-        for (name, texture) in [("half", &parts.half), ("difference", &parts.difference)] {
-            let shape = [texture.disk().texels(), parts.angles.columns()];
-            tensors.extend(texels(name, &shape, &[texture.numbers().to_vec()], precision));
+        let parts: Vec<&Parts> = materials.iter().map(|material| material.parts()).collect();
+        let first = parts[0];
+        let precision = first.maps.precision();
+        let mut tensors = Maps::encode(&parts.iter().map(|parts| &parts.maps).collect::<Vec<_>>());
+        let latents: Vec<_> = parts.iter().map(|parts| parts.latents.all_texels().to_vec()).collect();
+        tensors.extend(texels("latents", &[latents[0].len()], &latents, precision));
+        let textures: [(&str, fn(&Parts) -> &Texture); 2] =
+            [("half", |parts| &parts.half), ("difference", |parts| &parts.difference)];
+        for (name, texture) in textures {
+            let shape = [texture(first).disk().texels(), first.angles.columns()];
+            let numbers: Vec<_> = parts.iter().map(|parts| texture(parts).numbers().to_vec()).collect();
+            tensors.extend(texels(name, &shape, &numbers, precision));
         }
-        tensors.extend(parts.frames.iter().flat_map(|frames| linear_tensors("frames", frames)));
-        tensors.extend(parts.warps.iter().flat_map(|warps| linear_tensors("warps", warps)));
-        tensors.push(Tensor::own("bound", vec![1], &[parts.bound]));
-        tensors.extend(super::codec::layers_tensors(&[&parts.network], false));
+        tensors.extend(
+            linear_tensors("frames", parts.iter().filter_map(|p| p.frames.as_ref())).into_iter().flatten(),
+        );
+        tensors.extend(
+            linear_tensors("warps", parts.iter().filter_map(|p| p.warps.as_ref())).into_iter().flatten(),
+        );
+        let bounds: Vec<f32> = parts.iter().map(|parts| parts.bound).collect();
+        tensors.push(Tensor::own("bound", vec![bounds.len()], &bounds));
+        let networks: Vec<&Network> = parts.iter().map(|parts| &parts.network).collect();
+        tensors.extend(super::codec::layers_tensors(&networks, true));
         tensors
     }
 
@@ -212,9 +257,6 @@ impl Codec for Gated {
         let form = form.ok_or("its metadata has no \"form\", which a gated surface needs")?;
         let form: GatedForm = Deserialize::deserialize(form)
             .map_err(|e| format!("its \"glimt\" metadata is broken: the form: {e}"))?;
-        if file.materials() != 1 {
-            return Err(format!("it holds {} gated surfaces, expected one a file", file.materials()));
-        }
         let file = file.clone();
         Ok(Box::new(move |i| Ok(Gated::new(decode_parts(&file, &form, i)?)?)))
     }
@@ -229,20 +271,15 @@ impl Codec for Gated {
         vec![pair(Base::Maps, 16), pair(Base::Maps, 24)]
     }
 
-    fn check_together(&self, _: &Self) -> Result<(), String> {
-        Err("are gated surfaces, of which a library holds one".into())
+    fn check_together(&self, other: &Self) -> Result<(), String> {
+        self.parts().maps.check_together(&other.parts().maps)
     }
 }
 
 /// What a gated surface is made of.
 fn decode_parts(file: &Tensors, form: &GatedForm, material: usize) -> Result<Parts, String> {
     let maps = decode_maps(file, &form.maps, material)?;
-    const MOST: usize = 1 << 16;
-    let [width, height] = form.size;
-    if !(1..=MOST).contains(&width) || !(1..=MOST).contains(&height) {
-        return Err(format!("its latent codes have a size of {width}×{height}, expected 1 to {MOST} each"));
-    }
-    let layout = Layout::new(form.size, form.maps.wrap);
+    let layout = layout(form.latents, form.maps.wrap)?;
     let (_, latents) = read_texels::<LATENT>(file, "latents", material, &[Some(layout.texels())])?;
     let latents = Pyramid::of_levels(layout, latents)?;
     let texture = |name: &str, disk: Disk| -> Result<Texture, String> {
@@ -257,8 +294,8 @@ fn decode_parts(file: &Tensors, form: &GatedForm, material: usize) -> Result<Par
         angles: form.angles,
         maps,
         latents,
-        frames: form.frames.then(|| read_linear(file, "frames")).transpose()?,
-        warps: form.warps.then(|| read_linear(file, "warps")).transpose()?,
+        frames: form.frames.then(|| read_linear(file, "frames", material)).transpose()?,
+        warps: form.warps.then(|| read_linear(file, "warps", material)).transpose()?,
         half: texture("half", form.half)?,
         difference: texture("difference", form.difference)?,
         network: Network::clone(&*networks.of_material(material)?),
@@ -266,15 +303,23 @@ fn decode_parts(file: &Tensors, form: &GatedForm, material: usize) -> Result<Par
     })
 }
 
-fn linear_tensors<const N: usize>(name: &str, linear: &Linear<N>) -> [Tensor; 2] {
-    [
-        Tensor::own(&format!("{name}.weight"), vec![1, N, LATENT], linear.weight.as_flattened()),
-        Tensor::own(&format!("{name}.bias"), vec![1, N], &linear.bias),
-    ]
+fn linear_tensors<'a, const N: usize>(
+    name: &str,
+    linear: impl Iterator<Item = &'a Linear<N>>,
+) -> Option<[Tensor; 2]> {
+    let linear: Vec<&Linear<N>> = linear.collect();
+    let weights: Vec<f32> = linear.iter().flat_map(|linear| linear.weight.as_flattened()).copied().collect();
+    let biases: Vec<f32> = linear.iter().flat_map(|linear| linear.bias).collect();
+    (!linear.is_empty()).then(|| {
+        [
+            Tensor::own(&format!("{name}.weight"), vec![linear.len(), N, LATENT], &weights),
+            Tensor::own(&format!("{name}.bias"), vec![linear.len(), N], &biases),
+        ]
+    })
 }
 
-fn read_linear<const N: usize>(file: &Tensors, name: &str) -> Result<Linear<N>, String> {
-    let weight = file.rows(&format!("{name}.weight"), &[N, LATENT])?.row(0)?;
-    let bias = file.rows(&format!("{name}.bias"), &[N])?.array(0)?;
+fn read_linear<const N: usize>(file: &Tensors, name: &str, material: usize) -> Result<Linear<N>, String> {
+    let weight = file.rows(&format!("{name}.weight"), &[N, LATENT])?.row(material)?;
+    let bias = file.rows(&format!("{name}.bias"), &[N])?.array(material)?;
     Ok(Linear { weight: std::array::from_fn(|i| std::array::from_fn(|k| weight[i * LATENT + k])), bias })
 }

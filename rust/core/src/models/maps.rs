@@ -20,7 +20,7 @@ use crate::models::{Local, Model};
 use crate::sampling::lobes::{sample_cosine, sample_visible_normal, visible_normal_pdf};
 use crate::simd::{Lanes, Real, Spread, Vector};
 use crate::surface::place::halved;
-use crate::surface::{Place, Precision, Pyramid};
+use crate::surface::{Layout, Place, Precision, Pyramid};
 
 /// How mips are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,19 +30,21 @@ pub enum Filter {
     Average,
     /// Averages, and the variance of the slopes as roughness.
     Moments,
+    /// Every level as it is given: fitted to what is seen of the finest one.
+    Fitted,
 }
 
-/// One texel of the maps.
+/// One texel of the maps, in any number of lanes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Texel {
+pub struct Texel<F = f32> {
     /// Diffuse albedo, linear sRGB, in [0, 1].
-    pub kd: [f32; 3],
+    pub kd: [F; 3],
     /// Reflectance at normal incidence, linear sRGB, in [0, 1].
-    pub f0: [f32; 3],
+    pub f0: [F; 3],
     /// GGX roughness, in [[`MIN_ALPHA`], 1].
-    pub alpha: f32,
+    pub alpha: F,
     /// The normal's slope, −n_x/n_z and −n_y/n_z: that of the height along u and v.
-    pub slope: [f32; 2],
+    pub slope: [F; 2],
 }
 
 /// Numbers of a texel in a file.
@@ -52,14 +54,15 @@ pub(crate) const FILED: usize = 9;
 const CHANNELS: usize = 12;
 
 /// Largest F₀: that of silver, .97, has an η of 132; 1 has none.
-const MAX_F0: f32 = 0.98;
+pub const MAX_F0: f32 = 0.98;
 
 /// Steepest slope, 87°. A texel's normal cannot be flatter than the surface of a sphere's edge.
 pub const MAX_SLOPE: f32 = 20.0;
 
 impl Texel {
     /// Every number in its range.
-    fn limited(self) -> Texel {
+    #[must_use]
+    pub fn limited(self) -> Texel {
         let within = |x: f32, low: f32, high: f32| if x.is_nan() { low } else { x.clamp(low, high) };
         Texel {
             kd: self.kd.map(|kd| within(kd, 0.0, 1.0)),
@@ -123,24 +126,76 @@ impl Maps {
         filter: Filter,
     ) -> Result<Maps, Invalid> {
         let rows = texels.into_iter().map(|texel| texel.limited().to_row()).collect();
-        let pyramid = Pyramid::new(width, rows, wrap)?;
+        Ok(Maps::of(Pyramid::new(width, rows, wrap)?, filter))
+    }
+
+    /// Of the texels of all levels, with [`Filter::Fitted`]; numbers out of their ranges are limited.
+    ///
+    /// # Errors
+    /// [`Invalid::Parts`] if they are more or less than the layout has.
+    pub fn of_levels(layout: Layout, texels: impl IntoIterator<Item = Texel>) -> Result<Maps, Invalid> {
+        let rows = texels.into_iter().map(|texel| texel.limited().to_row()).collect();
+        Ok(Maps::of(Pyramid::of_levels(layout, rows)?, Filter::Fitted))
+    }
+
+    fn of(pyramid: Pyramid<CHANNELS>, filter: Filter) -> Maps {
         let far = Facet::of(*pyramid.mean(), filter);
-        Ok(Maps { pyramid, filter, precision: Precision::F32, far })
+        Maps { pyramid, filter, precision: Precision::F32, far }
     }
 
     /// As files of this precision give it back.
     #[must_use]
     pub fn rounded(&self, precision: Precision) -> Maps {
-        let [width, _] = self.size();
         let rows = precision.rounded(&self.rows(precision).collect::<Vec<_>>());
-        let texels = rows.into_iter().map(|row| Texel::from_file(row, precision));
-        let maps = Maps::new(width, texels, self.wrap(), self.filter).expect("as many texels as before");
-        maps.with_precision(precision)
+        let maps = Maps::of_file(self.layout(), rows, self.filter, precision);
+        maps.expect("as many texels as before")
     }
 
-    /// What files keep, which numbers read from one are already rounded to.
-    pub(crate) fn with_precision(self, precision: Precision) -> Maps {
-        Maps { precision, ..self }
+    /// Of rows as [`Maps::rows`] yields them.
+    ///
+    /// # Errors
+    /// [`Invalid::Parts`] if they are more or less than the layout has.
+    pub(crate) fn of_file(
+        layout: &Layout,
+        rows: Vec<[f32; FILED]>,
+        filter: Filter,
+        precision: Precision,
+    ) -> Result<Maps, Invalid> {
+        let texels = rows.into_iter().map(|row| Texel::from_file(row, precision));
+        let maps = match filter {
+            Filter::Average | Filter::Moments => Maps::new(layout.size()[0], texels, layout.wrap(), filter)?,
+            Filter::Fitted => Maps::of_levels(layout.clone(), texels)?,
+        };
+        Ok(Maps { precision, ..maps })
+    }
+
+    /// Where its texels are.
+    #[must_use]
+    pub fn layout(&self) -> &Layout {
+        self.pyramid.layout()
+    }
+
+    /// The same maps with other mips.
+    #[must_use]
+    pub fn filtered(&self, filter: Filter) -> Maps {
+        Maps { filter, far: Facet::of(*self.pyramid.mean(), filter), ..self.clone() }
+    }
+
+    /// The maps of a level as maps of their own; α takes the variance of the slopes below it. Of a level that there is
+    /// not, the coarsest.
+    #[must_use]
+    pub fn coarser(&self, level: usize) -> Maps {
+        let layout = self.pyramid.layout();
+        let level = level.min(layout.sizes().len() - 1);
+        let [width, _] = layout.sizes().nth(level).expect("a level that there is");
+        let rows = &self.pyramid.all_texels()[layout.texels_of(level)];
+        let texels = rows.iter().map(|&[r, g, b, f, g0, b0, alpha, x, y, xx, _, yy]| {
+            let variance = (xx - x * x).max(0.0) + (yy - y * y).max(0.0);
+            Texel { kd: [r, g, b], f0: [f, g0, b0], alpha: rougher(alpha, 0.5 * variance), slope: [x, y] }
+        });
+        let filter = if self.filter == Filter::Fitted { Filter::Average } else { self.filter };
+        let maps = Maps::new(width, texels, self.wrap(), filter).expect("a level has texels");
+        Maps { precision: self.precision, ..maps }
     }
 
     /// In how many bits files keep it.
@@ -149,10 +204,14 @@ impl Maps {
         self.precision
     }
 
-    /// The texels as files have them, row by row from the bottom.
+    /// The texels as files have them, row by row from the bottom: those of level 0, from which the others follow, or
+    /// of all levels where they do not.
     pub(crate) fn rows(&self, precision: Precision) -> impl Iterator<Item = [f32; FILED]> {
-        let [width, height] = self.size();
-        (0..width * height).map(move |i| self.texel(i % width, i / width).to_file(precision))
+        let rows = match self.filter {
+            Filter::Average | Filter::Moments => self.pyramid.texels(),
+            Filter::Fitted => self.pyramid.all_texels(),
+        };
+        rows.iter().map(move |row| Texel::from_row(row).to_file(precision))
     }
 
     /// The texel of a column and a row from the bottom.
@@ -162,6 +221,11 @@ impl Maps {
     #[must_use]
     pub fn texel(&self, column: usize, row: usize) -> Texel {
         Texel::from_row(&self.pyramid.texels()[row * self.size()[0] + column])
+    }
+
+    /// The texels of all levels, in the order of the layout.
+    pub fn all_texels(&self) -> impl Iterator<Item = Texel> {
+        self.pyramid.all_texels().iter().map(Texel::from_row)
     }
 
     /// The mean of all texels. What of the slopes varies is not in its α, but in that of the surface from afar.
@@ -219,6 +283,7 @@ impl Model for Maps {
         let levels = self.sizes().count();
         let filter = match self.filter {
             Filter::Average => "averages",
+            Filter::Fitted => "a fit",
             Filter::Moments => "moments of slopes",
         };
         format!("{width}×{height} texels, {levels} levels by {filter}")
@@ -331,6 +396,13 @@ pub struct Facet<F = f32> {
 }
 
 impl<F: Real> Facet<F> {
+    /// Of a texel in which no slope varies.
+    #[inline(always)]
+    #[must_use]
+    pub fn of_texel(Texel { kd: [r, g, b], f0: [f, g0, b0], alpha, slope: [x, y] }: Texel<F>) -> Self {
+        Facet::of([r, g, b, f, g0, b0, alpha, x, y, x * x, x * y, y * y], Filter::Fitted)
+    }
+
     /// Of the numbers of a texel.
     #[inline(always)]
     fn of(numbers: [F; CHANNELS], filter: Filter) -> Self {
@@ -340,7 +412,7 @@ impl<F: Real> Facet<F> {
         let kd = [kd_r, kd_g, kd_b];
         let normal = normalized([-x, -y, one]);
         let (alpha, along) = match filter {
-            Filter::Average => ([alpha, alpha], [one, zero]),
+            Filter::Average | Filter::Fitted => ([alpha, alpha], [one, zero]),
             Filter::Moments => {
                 // Of slopes: what of them varies within the footprint.
                 let [xx, xy, yy] = [(xx - x * x).max(zero), xy - x * y, (yy - y * y).max(zero)];
@@ -364,7 +436,8 @@ impl<F: Real> Facet<F> {
 impl<S: Copy> Facet<S> {
     /// f of pairs above the horizon of the surface.
     #[inline(always)]
-    pub(crate) fn eval_real<R: Real>(&self, light: [R; 3], view: [R; 3]) -> [R; 3]
+    #[must_use]
+    pub fn eval_real<R: Real>(&self, light: [R; 3], view: [R; 3]) -> [R; 3]
     where
         S: Spread<R>,
     {
@@ -482,10 +555,8 @@ impl SampleBrdf for Facet {
         if !is_lit(light, view) {
             return 0.0;
         }
-        let [l, v] = [self.within(light), self.within(view)];
-        let share = self.specular_share(v);
-        let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
-        share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
+        let v = self.within(view);
+        self.density(light, v, self.specular_share(v))
     }
 
     fn sample(&self, view: Vec3, u: Vec3) -> Sample {
@@ -494,23 +565,36 @@ impl SampleBrdf for Facet {
 }
 
 impl Facet {
-    /// A light for a BRDF that is much like this one, with the density of [`Facet::pdf`](SampleBrdf::pdf).
-    pub(crate) fn draw(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
+    /// The density of a light for a view within the facet, of which the GGX lobe has a share.
+    fn density(&self, light: Vec3, v: Vec3, share: f32) -> f32 {
+        let l = self.within(light);
+        let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
+        share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
+    }
+
+    /// A light, with the density of [`Facet::pdf`](SampleBrdf::pdf).
+    pub(crate) fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
         if !is_lit(view, view) || !u.is_finite() {
-            return Sample::FAILED;
+            return None;
         }
         let v = self.within(view);
-        let light = if u.x < self.specular_share(v) {
-            let l = sample_visible_normal(self.alpha(), v, u.y, u.z);
-            // The lobe has no density below its facet, though such a light may be above the surface.
-            if !is_lit(l, v) {
-                return Sample::FAILED;
+        let share = self.specular_share(v);
+        let light = if u.x < share {
+            let light = sample_visible_normal(self.alpha(), v, u.y, u.z);
+            // What a facet reflects below itself may be above the surface, where the lobe's density is 0.
+            if !is_lit(light, v) {
+                return None;
             }
-            self.outside(l)
+            self.outside(light)
         } else {
             sample_cosine(u.y, u.z)
         };
-        let pdf = self.pdf(light, view);
+        is_lit(light, view).then(|| (light, self.density(light, v, share)))
+    }
+
+    /// A light for a BRDF that is much like this one, with the density of [`Facet::pdf`](SampleBrdf::pdf).
+    pub(crate) fn draw(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
+        let Some((light, pdf)) = self.sample_direction(view, u) else { return Sample::FAILED };
         let weight = brdf.eval(light, view) * (light.z / pdf);
         if pdf > 0.0 && weight.is_finite() { Sample { light, pdf, weight } } else { Sample::FAILED }
     }

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use glimt_core::simd::Real;
+use glimt_core::simd::{Real, Spread};
 
 /// A number, and its derivatives by `N` others.
 ///
@@ -197,6 +197,13 @@ impl<F: Real, const N: usize> Real for Dual<F, N> {
     fn exponent_and_mantissa(self) -> (Self, Self) {
         let (exponent, mantissa) = self.value.exponent_and_mantissa();
         (Dual::constant(exponent), Dual::constant(mantissa))
+    }
+}
+
+impl<F: Real, const N: usize> Spread<Self> for Dual<F, N> {
+    #[inline(always)]
+    fn spread(self, _: Self) -> Self {
+        self
     }
 }
 

@@ -124,7 +124,7 @@ pub struct SquareLoss {
 impl SquareLoss {
     /// The loss and its derivative by the model's f.
     #[inline(always)]
-    fn value_and_slope<F: Real>(&self, cos: F, truth: F, model: F) -> (F, F) {
+    pub(super) fn value_and_slope<F: Real>(&self, cos: F, truth: F, model: F) -> (F, F) {
         let difference = cos * (model - truth);
         let scale = cos.fma(model, cos.splat(self.floor)).reciprocal();
         let weight = scale * scale + self.absolute;

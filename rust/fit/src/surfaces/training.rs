@@ -5,6 +5,7 @@ use glimt_core::kernels::network::Network;
 use glimt_core::models::gated::angles::FRAME;
 use glimt_core::models::gated::texture::Texture;
 use glimt_core::models::gated::{Base, FEATURES, Gated, LATENT, Linear, Parts, WARPS};
+use glimt_core::models::hybrid::MAX_BOUND;
 use glimt_core::models::maps::Maps;
 use glimt_core::surface::{Layout, Precision, Pyramid};
 use rand::{RngExt, SeedableRng};
@@ -40,7 +41,7 @@ pub struct Pace {
 }
 
 /// Parts of a step that have a gradient of their own: their sum is the same on any number of threads.
-const PARTS: usize = 4;
+pub const PARTS: usize = 4;
 
 /// Where the fit of a surface begins.
 #[must_use]
@@ -289,7 +290,8 @@ impl<'a> Training<'a> {
             let outputs = outputs(&self.shape, unfolded, &worker.queries, &mut worker.workspace);
             outputs[..3].as_flattened().as_flattened().iter().copied().fold(f32::MIN, f32::max)
         };
-        (0..BLOCKS).into_par_iter().map(greatest).reduce(|| f32::MIN, f32::max) + ROOM
+        let greatest = (0..BLOCKS).into_par_iter().map(greatest).reduce(|| f32::MIN, f32::max);
+        (greatest + ROOM).min(MAX_BOUND)
     }
 }
 
@@ -299,49 +301,4 @@ fn to_linear<const N: usize>(numbers: &[f32]) -> Linear<N> {
         weight: std::array::from_fn(|i| std::array::from_fn(|k| weight[i * LATENT + k])),
         bias: std::array::from_fn(|i| bias[i]),
     }
-}
-
-/// The error of a surface at footprints of one kind, against many samples of the truth: log-MAE, MAE and RMSE of f.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Errors {
-    /// Mean |Δ ln(1 + cosθ f)|.
-    pub log_mae: f64,
-    /// Mean |Δ f|.
-    pub mae: f64,
-    /// √ mean (Δ f)².
-    pub rmse: f64,
-}
-
-/// Measures `model`, which fills f of a block, at footprints that `drawing` draws.
-pub fn measure(drawing: &Drawing, blocks: u64, model: &(dyn Fn(&Queries, &mut [Row; 3]) + Sync)) -> Errors {
-    let of = |number: u64| {
-        let (mut queries, mut samples, mut truth) = (Queries::default(), Samples::default(), [ZERO_ROW; 3]);
-        drawing.block(number, &mut queries, &mut truth, &mut samples);
-        let mut f = [ZERO_ROW; 3];
-        model(&queries, &mut f);
-        let mut errors = Errors::default();
-        for c in 0..3 {
-            let cosines = queries.light[2].as_flattened();
-            for ((&cos, &truth), &f) in cosines.iter().zip(truth[c].as_flattened()).zip(f[c].as_flattened()) {
-                let log = |f: f32| f64::from(cos * f).ln_1p();
-                errors.log_mae += (log(f) - log(truth)).abs();
-                errors.mae += f64::from(f - truth).abs();
-                errors.rmse += f64::from(f - truth).powi(2);
-            }
-        }
-        errors
-    };
-    let sum = (0..blocks).into_par_iter().map(of).collect::<Vec<_>>().into_iter().fold(
-        Errors::default(),
-        |a, b| Errors { log_mae: a.log_mae + b.log_mae, mae: a.mae + b.mae, rmse: a.rmse + b.rmse },
-    );
-    let n = (blocks * BLOCK as u64 * 3) as f64;
-    Errors { log_mae: sum.log_mae / n, mae: sum.mae / n, rmse: (sum.rmse / n).sqrt() }
-}
-
-/// f of a material at the places of a block.
-pub fn eval_block(material: &glimt_core::Material, queries: &Queries, out: &mut [Row; 3]) {
-    let [light, view] =
-        [&queries.light, &queries.view].map(|side| side.each_ref().map(|row| row.as_flattened()));
-    material.eval_packet_at(&queries.places, light, view, out.each_mut().map(|row| row.as_flattened_mut()));
 }

@@ -26,7 +26,7 @@ use crate::error::Invalid;
 use crate::kernels::Kernel;
 use crate::kernels::network::{Layer, Network, Rows};
 use crate::kernels::placed::{self, PlacedKernel};
-use crate::models::hybrid::Composition;
+use crate::models::hybrid::{Composition, check_bound};
 use crate::models::maps::{Facet, Maps};
 use crate::models::{Local, Model};
 use crate::simd::math::exp;
@@ -179,6 +179,7 @@ impl Gated {
                 )));
             }
         }
+        check_bound(parts.bound)?;
         if !parts.numbers().all(|x| x.is_finite()) {
             return Err(
                 "a latent code, a texture, a frame or a warp holds a number that is not finite".into()
@@ -327,6 +328,13 @@ impl Kernel for Point<'_> {
         view: [Vector<I, L>; 3],
     ) -> [Vector<I, L>; 3] {
         evaluate(isa, self.model, &[self.latent; L], &self.facet, light, view)
+    }
+}
+
+impl Point<'_> {
+    /// A light, with the density of [`Point::pdf`](SampleBrdf::pdf).
+    pub(crate) fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
+        self.facet.sample_direction(view, u)
     }
 }
 
@@ -627,6 +635,6 @@ pub(crate) mod tests {
         assert!(refused(Parts { base: Base::None, ..parts() }).contains("expected 3 of 16"));
         assert!(refused(Parts { angles: Angles::Vectors, ..parts() }).contains("expected 6 of 24"));
         assert!(refused(Parts { half: texture(1, 0), ..parts() }).contains("25 columns, expected 200"));
-        assert!(refused(Parts { bound: f32::NAN, ..parts() }).contains("not finite"));
+        assert!(refused(Parts { bound: f32::NAN, ..parts() }).contains("bound"));
     }
 }
