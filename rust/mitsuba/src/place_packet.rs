@@ -15,9 +15,10 @@ use std::cell::RefCell;
 use std::ffi::c_void;
 
 use glimt_core::material::At;
+use glimt_core::models::Local;
 use glimt_core::simd::LANES;
 use glimt_core::surface::{Footprint, Place};
-use glimt_core::{Sample, SampleBrdf, Vec3};
+use glimt_core::{Brdf, Sample, SampleBrdf, Vec3};
 
 use crate::material::{Material, guarded};
 use crate::ray_hit::{RayHit, address_of_width};
@@ -50,9 +51,13 @@ unsafe extern "C" fn eval_at_packet<const N: usize>(
     let mut pairs = Pairs::<N>::none();
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
         let (light, view) = (packet.origin_of(lane), packet.direction_of(lane));
+        let ask = |at: &At<'_>| (eval_at_hand(at, light, view), at.pdf(light, view));
         // SAFETY: the lane is active.
-        packet.geometry[lane] = guarded(0.0, || unsafe { seen(packet, lane, |at| at.pdf(light, view)) });
-        pairs.push(packet, lane, light);
+        let (f, pdf) = guarded((Some(Vec3::ZERO), 0.0), || unsafe { seen(packet, lane, ask) });
+        packet.answer(lane, f.unwrap_or(Vec3::ZERO), pdf);
+        if f.is_none() {
+            pairs.push(packet, lane, light);
+        }
     }
     // SAFETY: its lanes are active.
     guarded((), || unsafe { pairs.eval(packet) });
@@ -68,28 +73,41 @@ unsafe extern "C" fn sample_at_packet<const N: usize>(
     // SAFETY: the caller's promise.
     let (valid, packet) = unsafe { (&*valid.cast::<[i32; N]>(), &mut *packet) };
     let mut pairs = Pairs::<N>::none();
+    let mut lights = [Sample::FAILED.light; N];
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
         let (u, view) = (packet.origin_of(lane), packet.direction_of(lane));
+        let ask = |at: &At<'_>| {
+            let (light, pdf) = at.sample_direction(view, u)?;
+            Some((light, pdf, eval_at_hand(at, light, view)))
+        };
         // SAFETY: the lane is active.
-        let sample = || unsafe { seen(packet, lane, |at| at.sample_direction(view, u)) };
-        let (light, pdf) = guarded(None, sample).unwrap_or((Sample::FAILED.light, 0.0));
-        packet.geometry[lane] = pdf;
-        pairs.push(packet, lane, light);
+        let drawn = guarded(None, || unsafe { seen(packet, lane, ask) });
+        let (light, pdf, f) = drawn.unwrap_or((lights[lane], 0.0, Some(Vec3::ZERO)));
+        lights[lane] = light;
+        packet.answer(lane, f.unwrap_or(Vec3::ZERO), pdf);
+        if f.is_none() {
+            pairs.push(packet, lane, light);
+        }
     }
     // SAFETY: its lanes are active.
     guarded((), || unsafe { pairs.eval(packet) });
-    for (pair, &lane) in pairs.lanes[..pairs.len].iter().enumerate() {
-        let [x, y, z] = pairs.light.map(|component| component[pair]);
-        let pdf = packet.geometry[lane];
-        let weight = packet.hit.map(|f| f[lane] * (z / pdf));
-        let is_sound = pdf > 0.0 && weight.iter().all(|weight| weight.is_finite());
-        let (weight, pdf) = if is_sound { (weight.into(), pdf) } else { (Vec3::ZERO, 0.0) };
+    for lane in (0..N).filter(|&lane| valid[lane] != 0) {
+        let (Vec3 { x, y, z }, pdf) = (lights[lane], packet.geometry[lane]);
+        let weight = Vec3::from_array(packet.hit.map(|f| f[lane])) * (z / pdf);
+        let is_sound = pdf > 0.0 && weight.is_finite();
+        let (weight, pdf) = if is_sound { (weight, pdf) } else { (Vec3::ZERO, 0.0) };
         packet.answer(lane, weight, pdf);
         (packet.far[lane], packet.instance[lane]) = (x / (1.0 + z), y / (1.0 + z));
     }
 }
 
-/// Pairs of directions of a packet, one a lane, without the lanes that are not asked.
+/// f of a facet, which takes less than to look for its texels. Networks are evaluated for many lanes in one pass, though
+/// their texels are looked for once more.
+fn eval_at_hand(at: &At<'_>, light: Vec3, view: Vec3) -> Option<Vec3> {
+    matches!(at, At::Place(Local::Facet(_))).then(|| at.eval(light, view))
+}
+
+/// Pairs of directions of a packet, one a lane, whose f is still to be found.
 struct Pairs<const N: usize> {
     lanes: [usize; N],
     len: usize,
@@ -204,7 +222,7 @@ mod tests {
     use glimt_core::library::{Entry, Origin};
     use glimt_core::models::maps::{Filter, Maps, Texel};
     use glimt_core::surface::Wrap;
-    use glimt_core::{Brdf, Library, Material as AnyMaterial};
+    use glimt_core::{Library, Material as AnyMaterial};
 
     use super::*;
     use crate::material::open;
