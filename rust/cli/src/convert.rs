@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use clap::builder::NonEmptyStringValueParser;
 use glimt_core::library::Entry;
 use glimt_core::material::At;
+use glimt_core::models::maps::Maps;
 use glimt_core::{Library, Material};
 use glimt_disk::STANDARD_OUTPUT;
 use glimt_files::Source;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 use crate::output::Overwrite;
 use crate::place::PlaceArguments;
 use crate::textures::{self, Opened};
+use crate::values::PrecisionName;
 use crate::{Usage, fitting, inputs, output};
 
 /// Convert files: NBRDF weights or libraries to one library, models or measurements to a measured format
@@ -48,6 +50,9 @@ pub struct Arguments {
     spectral: bool,
     #[command(flatten)]
     maps: textures::Options,
+    /// In how many bits the texels of maps are kept in a library [default: as they are; texture maps in f32]
+    #[arg(long, value_enum, value_name = "BITS")]
+    precision: Option<PrecisionName>,
     #[command(flatten)]
     place: PlaceArguments,
     #[command(flatten)]
@@ -114,6 +119,12 @@ pub fn run(arguments: &Arguments) -> Result<()> {
         let extension = format.extension();
         return Err(Usage(format!("--spectral does not apply to .{extension} files, but to .bsdf")).into());
     }
+    if arguments.precision.is_some() && format != Format::Library {
+        let extension = format.extension();
+        return Err(
+            Usage(format!("--precision does not apply to .{extension} files, but to .safetensors")).into()
+        );
+    }
     if arguments.place.is_given() && format == Format::Library {
         let reason = "--uv and --footprint do not apply to a library, which keeps surfaces whole, but to .bsdf, .binary \
                       and .bin files";
@@ -126,7 +137,7 @@ pub fn run(arguments: &Arguments) -> Result<()> {
     }
     let sources = open(inputs, out, arguments)?;
     if format == Format::Library {
-        return write_library(out, &sources, arguments.material.as_deref());
+        return write_library(out, &sources, arguments);
     }
     let materials = materials(&sources, arguments.material.as_deref(), &arguments.place)?;
     if into_directory {
@@ -201,13 +212,24 @@ fn materials<'a>(
     Ok(materials)
 }
 
-fn write_library(path: &Path, sources: &[Source], only: Option<&str>) -> Result<()> {
+fn write_library(path: &Path, sources: &[Source], arguments: &Arguments) -> Result<()> {
     let mut entries: Vec<Entry> = Vec::new();
     for source in sources {
         let library = source.library()?;
-        match only {
+        match &arguments.material {
             Some(name) => entries.push(library.entry(Some(name))?.clone()),
             None => entries.extend(library.entries()?.into_iter().cloned()),
+        }
+    }
+    if let Some(precision) = arguments.precision {
+        for Entry { name, material, .. } in &mut entries {
+            let maps = <&Maps>::try_from(&*material).map_err(|()| {
+                Usage(format!(
+                    "--precision does not apply to \"{name}\", a {} material, but to maps",
+                    material.kind()
+                ))
+            })?;
+            *material = maps.rounded(precision.into()).into();
         }
     }
     Ok(Library::new(path, entries)?.save()?)

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use glimt_core::Library;
 use glimt_core::library::{Entry, Origin, SourceFile};
 use glimt_core::models::maps::Filter;
-use glimt_core::surface::{Precision, Wrap};
+use glimt_core::surface::Wrap;
 use glimt_files::{Source, sha256, sha256_of};
 use glimt_textures::{Error, Finding, Folder, MEMORY, Size};
 
@@ -25,9 +25,6 @@ pub struct Options {
     /// What lies beyond the edges of texture maps [default: repeat]
     #[arg(long, value_enum, value_name = "WRAP")]
     wrap: Option<WrapName>,
-    /// How texture maps are kept in the library [default: f32]
-    #[arg(long, value_enum, value_name = "PRECISION")]
-    precision: Option<PrecisionName>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -46,16 +43,6 @@ enum WrapName {
     Clamp,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum PrecisionName {
-    /// 36 bytes a texel
-    F32,
-    /// 18 bytes a texel
-    F16,
-    /// 9 bytes a texel, in steps as images have them
-    U8,
-}
-
 impl Options {
     /// Refuses options that have nothing to apply to.
     ///
@@ -66,7 +53,6 @@ impl Options {
             ("--size", self.size.is_some()),
             ("--filter", self.filter.is_some()),
             ("--wrap", self.wrap.is_some()),
-            ("--precision", self.precision.is_some()),
         ];
         match given.iter().find(|(_, is_given)| *is_given) {
             None => Ok(()),
@@ -91,14 +77,6 @@ impl Options {
         match self.wrap {
             None | Some(WrapName::Repeat) => Wrap::Repeat,
             Some(WrapName::Clamp) => Wrap::Clamp,
-        }
-    }
-
-    fn precision(&self) -> Precision {
-        match self.precision {
-            None | Some(PrecisionName::F32) => Precision::F32,
-            Some(PrecisionName::F16) => Precision::F16,
-            Some(PrecisionName::U8) => Precision::U8,
         }
     }
 }
@@ -141,10 +119,6 @@ pub fn open(
     let maps = folder.maps(options.size(), MEMORY).map_err(|error| with_advice(error, &folder))?;
     let surface = maps.surface(options.wrap(), options.filter());
     let surface = surface.map_err(|reason| anyhow!("{}: {reason}", path.display()))?;
-    let surface = match options.precision() {
-        Precision::F32 => surface,
-        precision => surface.rounded(precision),
-    };
     let findings = folder.findings().iter().chain(&maps.findings).cloned().collect();
     let entry = Entry {
         name: folder.material().to_owned(),

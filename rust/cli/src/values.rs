@@ -2,7 +2,30 @@
 
 use std::str::FromStr;
 
+use clap::ValueEnum;
+use glimt_core::surface::Precision;
 use glimt_fit::Net;
+
+/// In how many bits the texels of a surface are kept.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum PrecisionName {
+    /// float32
+    F32,
+    /// float16
+    F16,
+    /// 256 steps over the range of each channel
+    U8,
+}
+
+impl From<PrecisionName> for Precision {
+    fn from(name: PrecisionName) -> Precision {
+        match name {
+            PrecisionName::F32 => Precision::F32,
+            PrecisionName::F16 => Precision::F16,
+            PrecisionName::U8 => Precision::U8,
+        }
+    }
+}
 
 /// A size of a network as the command line spells it.
 ///

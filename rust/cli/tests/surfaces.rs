@@ -231,7 +231,7 @@ fn options_say_size_filter_and_wrap() {
     assert_eq!(coarse.tensor_bytes().unwrap().0, 4 * 4 * 9 + 2 * 4 * 9);
     let (coarse, fine) = (maps_of(&coarse).texel(1, 2), maps_of(&fine).texel(1, 2));
     assert!(coarse != fine && (coarse.kd[0] - fine.kd[0]).abs() < 0.01, "{coarse:?} {fine:?}");
-    for option in [["--size", "2"], ["--filter", "average"], ["--wrap", "clamp"], ["--precision", "u8"]] {
+    for option in [["--size", "2"], ["--filter", "average"], ["--wrap", "clamp"]] {
         let line = set.0.fails(2, &[&["convert", "lib.safetensors", "x.safetensors"], &option[..]].concat());
         assert!(line.contains(option[0]) && line.contains("folders of texture maps"), "{line}");
     }
@@ -293,6 +293,19 @@ fn several_folders_make_one_library_and_gltf_names_its_images() {
     // Neither are libraries of two models one.
     let line = set.0.fails(1, &["convert", "both.safetensors", "lib.safetensors", "x.safetensors"]);
     assert!(line.contains("differ in model"), "{line}");
+}
+
+#[test]
+fn precision_is_that_of_maps_in_a_library() {
+    let set = Set::new();
+    set.converted(&[]);
+    set.0.succeeds(&["convert", "wood.safetensors", "small.safetensors", "--precision", "f16"]);
+    let small = Library::open(set.0.path("small.safetensors")).unwrap();
+    assert_eq!(small.tensor_bytes().unwrap().0, 4 * 4 * 9 * 2);
+    let line = set.0.fails(2, &["convert", "lib.safetensors", "x.safetensors", "--precision", "u8"]);
+    assert!(line.contains("a ggx material, but to maps"), "{line}");
+    let line = set.0.fails(2, &["convert", "wood", "x.bin", "--precision", "u8", "--footprint", "inf"]);
+    assert!(line.contains("--precision does not apply to .bin files"), "{line}");
 }
 
 /// One line that names the file and what is expected of it, and nothing written.

@@ -12,8 +12,9 @@ use glimt_fit::Outcome;
 use glimt_fit::checkpoint::CheckpointOf;
 use glimt_fit::surfaces::errors::{Errors, by_level};
 use glimt_fit::surfaces::gated::{Learning, Shape, SquareLoss, Targets, Workspace, block};
+use glimt_fit::surfaces::mips::{self, Mips};
 use glimt_fit::surfaces::queries::{Drawing, Footprints, Gaussians, Queries, Samples};
-use glimt_fit::surfaces::training::{Training, fold, start, unfold};
+use glimt_fit::surfaces::training::{Pace, Training, fold, start, unfold};
 use glimt_fit::surfaces::{Surface, SurfaceOptions, fit_surface};
 use glimt_fit::train::State;
 
@@ -226,6 +227,22 @@ fn a_short_fit_is_far_nearer_than_mip_maps_and_eight_bits_cost_little() {
     let (rounded, exact, before) = (Errors::mean(&rounded), Errors::mean(&exact), Errors::mean(&before));
     assert!(rounded.log_mae < 0.40 * before.log_mae, "{} of {}", rounded.log_mae, before.log_mae);
     assert!(rounded.log_mae < 1.02 * exact.log_mae, "{} against {}", rounded.log_mae, exact.log_mae);
+}
+
+/// Fitted mips are nearer than averaged ones; the limit is a tenth above what they have.
+#[test]
+fn fitted_mips_are_nearer_than_averages() {
+    let maps = maps(16, 16);
+    let averages = maps.filtered(Filter::Average);
+    let pace = SurfaceOptions::standard([16, 16], 150, 0).pace;
+    let pace = Pace { rate: 4e-3, blocks: 8, ..pace };
+    let mut state = State::new(mips::start(&averages));
+    let mut training = Mips::new(&averages, &maps, pace);
+    (0..pace.steps).for_each(|_| drop(training.step(&mut state)));
+    let fitted: Material = mips::finish(&averages, &state.numbers).unwrap().into();
+    let [before, after] =
+        [&averages.into(), &fitted].map(|material| Errors::mean(&by_level(&maps, material)));
+    assert!(after.log_mae < 0.75 * before.log_mae, "{} of {}", after.log_mae, before.log_mae);
 }
 
 #[test]

@@ -20,6 +20,7 @@ use super::keeper::Keeper;
 use super::shared::{Resume, Training};
 use crate::fitting::{self, Watch};
 use crate::textures::{self, Opened};
+use crate::values::PrecisionName;
 use crate::{Usage, inputs};
 
 #[derive(Args)]
@@ -58,16 +59,6 @@ enum BaseName {
     None,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum PrecisionName {
-    /// float32
-    F32,
-    /// float16
-    F16,
-    /// 256 steps over the range of each channel
-    U8,
-}
-
 /// Steps of a fit if nothing else is asked for.
 const DEFAULT_STEPS: u64 = 6_000;
 
@@ -87,11 +78,7 @@ impl GatedArguments {
         if let Some(texels) = self.latent_size {
             options.latent_size = texels as usize;
         }
-        options.precision = match self.precision {
-            Some(PrecisionName::F32) => Precision::F32,
-            Some(PrecisionName::F16) => Precision::F16,
-            Some(PrecisionName::U8) | None => Precision::U8,
-        };
+        options.precision = self.precision.map_or(Precision::U8, Precision::from);
         if let Some(net) = self.training.net {
             options.net = net;
         }

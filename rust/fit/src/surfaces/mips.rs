@@ -19,6 +19,9 @@ use crate::train::State;
 /// Numbers of a texel: k_d, F₀, α and the slope.
 const NUMBERS: usize = 9;
 
+/// A row of them, padded for [`Vector::transpose`].
+const ROW: usize = NUMBERS.next_multiple_of(4);
+
 /// Lanes of a part of a block.
 const L: usize = 8;
 
@@ -57,7 +60,7 @@ struct Worker {
     targets: [Row; 3],
     taps: Vec<(usize, f32)>,
     ends: Vec<usize>,
-    rows: Vec<[f32; NUMBERS]>,
+    rows: Vec<[f32; ROW]>,
     deltas: Vec<[f32; NUMBERS]>,
     gradient: Vec<f32>,
     loss: f64,
@@ -87,7 +90,7 @@ impl<'a> Mips<'a> {
             targets: [ZERO_ROW; 3],
             taps: Vec::new(),
             ends: Vec::new(),
-            rows: vec![[0.0; NUMBERS]; BLOCK],
+            rows: vec![[0.0; ROW]; BLOCK],
             deltas: vec![[0.0; NUMBERS]; BLOCK],
             gradient: vec![0.0; maps.layout().texels() * NUMBERS],
             loss: 0.0,
@@ -142,7 +145,7 @@ impl Worker {
         self.taps.clear();
         self.ends.clear();
         for (place, row) in self.queries.places.iter().zip(&mut self.rows) {
-            let (taps, mut sum) = (&mut self.taps, [0.0; NUMBERS]);
+            let (taps, mut sum) = (&mut self.taps, [0.0; ROW]);
             maps.layout().taps(place, |texel, weight| {
                 taps.push((texel, weight));
                 (0..NUMBERS).for_each(|k| sum[k] += weight * texels[texel][k]);
@@ -186,13 +189,13 @@ dispatch! {
         loss: SquareLoss,
         queries: &Queries,
         targets: &[Row; 3],
-        rows: &[[f32; NUMBERS]],
+        rows: &[[f32; ROW]],
         deltas: &mut [[f32; NUMBERS]],
         sum: &mut f64,
     ) {
         let mut total = Vector::<I, L>::new(isa, 0.0);
         for g in 0..BLOCK / L {
-            let numbers: [Vector<I, L>; NUMBERS] = Vector::transpose(isa, &rows.as_chunks::<L>().0[g]);
+            let [numbers @ .., _, _, _]: [Vector<I, L>; ROW] = Vector::transpose(isa, &rows.as_chunks::<L>().0[g]);
             let (light, view) = (part3(isa, &queries.light, g), part3(isa, &queries.view, g));
             let truth = part3(isa, targets, g);
             let mut by = [light[0].splat(0.0); NUMBERS];
