@@ -107,7 +107,7 @@ def test_eval_has_the_derivatives_of_every_parameter(libraries, library):
         return dr.mean(dr.sum(bsdf.eval(mi.BSDFContext(), si, wo) * weight))[0]
 
     if library == "nbrdf":
-        assert not keys(params)
+        assert keys(params) == ["tint"]
     for key in keys(params):
         expected = differences(params, key, loss, 4e-3)
         found = gradients(params, key, lambda: dr.mean(dr.sum(bsdf.eval(mi.BSDFContext(), si, wo) * weight)))

@@ -182,7 +182,7 @@ def test_traversed_parameters_change_the_material(libraries, variant):
     mi.set_variant(variant)
     bsdf = load(libraries["hybrid"])
     params = mi.traverse(bsdf)
-    assert set(params.properties) == {"kd", "eta", "alpha", "latent"}
+    assert set(params.properties) == {"kd", "eta", "alpha", "latent", "tint"}
     params["kd"] = mi.Color3f(0.1, 0.5, 0.9)
     params["alpha"] = 0.4
     params.update()

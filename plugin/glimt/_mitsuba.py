@@ -2,6 +2,7 @@
 
 import importlib.metadata
 import importlib.util
+import math
 import os
 import re
 import subprocess
@@ -41,6 +42,32 @@ def register():
     if directory not in (str(path) for path in mitsuba.file_resolver()):
         mitsuba.file_resolver().append(directory)
     return True
+
+
+def pixel_angle(sensor, spp=1):
+    """The angle between neighbouring pixels in the middle of a sensor's image, in radians: ``pixel_angle`` of
+    ``<bsdf type="glimt">``.
+
+    ``sensor`` is one of Mitsuba's with a perspective (``perspective``, ``thinlens``). With ``spp`` it is the
+    angle between neighbouring samples of ``spp`` a pixel, as Mitsuba scales the differentials of its rays.
+    That makes images sharper, and noisier.
+    """
+    import mitsuba
+
+    parameters = mitsuba.traverse(sensor) if isinstance(sensor, mitsuba.Sensor) else {}
+    if "x_fov" not in parameters:
+        kind = sensor.class_name() if isinstance(sensor, mitsuba.Sensor) else type(sensor).__name__
+        raise TypeError(
+            f"sensor is a {kind}, expected a perspective or thinlens sensor: the pixels of others are no "
+            f"constant angle apart. Fix: give pixel_angle as a number"
+        )
+    if not spp >= 1:
+        raise ValueError(f"spp is {spp}, expected at least 1 sample a pixel")
+    # One number in scalar variants, an array of one in the others.
+    x_fov = parameters["x_fov"]
+    degrees = x_fov if isinstance(x_fov, float) else x_fov[0]
+    # The field of view belongs to the whole film, whatever is cropped out of it.
+    return 2 * math.tan(math.radians(degrees) / 2) / sensor.film().size()[0] / math.sqrt(spp)
 
 
 def point_drjit_to_llvm():

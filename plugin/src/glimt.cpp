@@ -1,4 +1,5 @@
 #include <atomic>
+#include <cmath>
 #include <memory>
 #include <sstream>
 
@@ -11,6 +12,8 @@
 #include "lobes.h"
 #include "primaries.h"
 #include "sampler_call.h"
+#include "surface.h"
+#include "surface_call.h"
 #include "traced.h"
 
 // Without -march=haswell everything compiles, loads and computes garbage: the layout of structs differs.
@@ -72,11 +75,36 @@ Compact fit of a measured material (:monosp:`glimt`)
    - The code by which the shared network tells the materials of a library apart.
    - |exposed|, |differentiable|
 
+ * - tint
+   - |rgb| or |float|
+   - Factor on the reflectance of any material, linear RGB, not negative. (Default: 1)
+   - |exposed|, |differentiable|
+
+ * - to_uv
+   - |transform|
+   - Surfaces: from the shape's texture coordinates to those of the maps, as for ``bitmap`` textures.
+     (Default: none)
+
+ * - pixel_angle
+   - |float|
+   - Surfaces: the angle between two neighbouring pixels in the middle of the image, in radians, which
+     ``glimt.pixel_angle(sensor)`` computes. It says how much of the maps a pixel sees. (Default: 0, the maps as they
+     are)
+   - |exposed|
+
 This plugin evaluates a reflectance that was fitted to a measured material, by any of the models of
 ``docs/guide/models.md``: an analytic model (``ggx``), the same with a small neural network (``hybrid``, De Oliveira
 et al., *A Hybrid Neural-Microfacet BRDF Model*), a network alone, tables, published fits. It also evaluates
 measurements as they are. Only ``ggx`` and ``hybrid`` have
 an analytic part; the edits are an error for the others.
+
+**Surfaces.** A material of texture maps is another one at every place. :monosp:`uv` are taken through ``to_uv``, and the
+normals of the maps follow the directions of u and v, also where a shape has them mirrored. Mitsuba tells a BSDF of no
+footprint. With ``pixel_angle`` the plugin makes one, from the length of the last segment of the path and the inclination
+of the surface, and averages of the maps come from their mip levels. After a bounce the footprint is smaller than it
+could be, which leaves noise but does not blur. Where an integrator gives derivatives of uv (:monosp:`direct` in scalar
+variants), they are used instead. Importance transport sees points. Such a material has its own sampler at every place,
+and no derivatives but those of ``tint``. Materials that are the same everywhere ignore ``to_uv`` and ``pixel_angle``.
 
 The material is one-sided; the ``twosided`` plugin makes it two-sided. It has one component, of type
 *glossy reflection* as with ``measured``: a fitted measurement has no honest split into diffuse and
@@ -137,6 +165,13 @@ public:
         });
         m_name = std::string(material->name());
         m_model = glimt::TracedModel<Float>(*material);
+        m_is_surface = material->is_surface();
+        if (m_is_surface && !sampler.empty())
+            Throw("glimt: \"%s\" of \"%s\" is a surface, which is sampled in its own way at every place. Leave out "
+                  "\"sampler\".", m_name, m_file);
+        read_texturing(props);
+        m_tint = props.has_property("tint") ? color(props, "tint") : ScalarColor3f(1.f);
+        check_factors();
         fetch(*material);
         if (read_edits(props, *material))
             material = edit(*material);
@@ -157,12 +192,17 @@ public:
         }
         if (dr::width(m_latent) > 0)
             cb->put("latent", m_latent, ParamFlags::Differentiable);
+        cb->put("tint", m_tint, ParamFlags::Differentiable);
+        if (m_is_surface)
+            cb->put("pixel_angle", m_pixel_angle, ParamFlags::NonDifferentiable);
     }
 
     void parameters_changed(const std::vector<std::string> & /*keys*/ = {}) override {
         std::shared_ptr<const Material> edited;
         try {
-            edited = share(edit(*m_material));
+            check_factors();
+            // A surface has no parameters in the core, and its maps need no copy.
+            edited = m_is_surface ? m_material : share(edit(*m_material));
         } catch (...) {
             restore();
             throw;
@@ -180,6 +220,8 @@ public:
         if (!ctx.is_enabled(BSDFFlags::GlossyReflection) || dr::none_or<false>(active))
             return { dr::zeros<BSDFSample3f>(), 0.f };
 
+        if (m_is_surface)
+            return sample_surface(ctx, si, sample1, sample2, active);
         if constexpr (!dr::is_jit_v<Float>) {
             auto s = m_material->sample(array(si.wi), { sample1, sample2.x(), sample2.y() });
             BSDFSample3f bs = reflected(Vector3f(s.light[0], s.light[1], s.light[2]), s.pdf);
@@ -215,8 +257,8 @@ public:
                     const Point2f &sample2, Mask active) const override {
         if constexpr (HasKernelCall) {
             // f of both directions in one call. Where importance is transported they have no view in common.
-            if (ctx.mode == TransportMode::Radiance && ctx.is_enabled(BSDFFlags::GlossyReflection) &&
-                calls_from_kernel(si.wi, wo)) {
+            if (!m_is_surface && ctx.mode == TransportMode::Radiance &&
+                ctx.is_enabled(BSDFFlags::GlossyReflection) && calls_from_kernel(si.wi, wo)) {
                 MI_MASKED_FUNCTION(ProfilerPhase::BSDFEvaluate, active);
                 Mask lit = active && is_lit(si.wi, wo);
                 auto [bs, chosen] = sample_direction(si.wi, sample1, sample2, active);
@@ -241,11 +283,15 @@ public:
                 << "  alpha = " << m_alpha << "," << std::endl;
         if (dr::width(m_latent) > 0)
             oss << "  latent = " << m_latent << "," << std::endl;
+        oss << "  tint = " << m_tint << "," << std::endl;
+        if (m_is_surface)
+            oss << "  to_uv = " << string::indent(m_texturing.to_uv()) << "," << std::endl
+                << "  pixel_angle = " << m_pixel_angle << "," << std::endl;
         const char *way = calls_from_kernel()   ? "in-kernel call"
                           : dr::is_jit_v<Float> ? "traced"
                                                 : "direct call";
         oss << "  evaluation = " << way << "," << std::endl
-            << "  sampler = " << std::string(m_material->sampler()) << std::endl
+            << "  sampler = " << (m_is_surface ? "of every place" : std::string(m_material->sampler())) << std::endl
             << "]";
         return oss.str();
     }
@@ -329,6 +375,33 @@ private:
         return edited;
     }
 
+    /// Takes over how maps lie on shapes. Other materials are the same wherever they are.
+    void read_texturing(const Properties &props) {
+        auto to_uv = props.get<ScalarAffineTransform3f>("to_uv", ScalarAffineTransform3f());
+        const auto &tm = to_uv.matrix;
+        const ScalarFloat det = tm.entry(0, 0) * tm.entry(1, 1) - tm.entry(0, 1) * tm.entry(1, 0);
+        if (det == 0.f || !std::isfinite(det))
+            Throw("glimt: \"to_uv\" has no inverse (its determinant is %f): every place of \"%s\" would be on one "
+                  "line of the maps.", det, m_name);
+        m_texturing = glimt::Texturing<Float>(to_uv);
+        m_pixel_angle = props.get<ScalarFloat>("pixel_angle", 0.f);
+        if (!m_is_surface && (props.has_property("to_uv") || props.has_property("pixel_angle")))
+            Log(Info, "\"%s\" of \"%s\" is the same everywhere: \"to_uv\" and \"pixel_angle\" change nothing.", m_name,
+                m_file);
+    }
+
+    /// Are the numbers that the core does not know in their ranges?
+    void check_factors() const {
+        auto check = [](const Float &value, const char *name) {
+            const float x = host(value, name);
+            if (!(x >= 0.f && std::isfinite(x)))
+                Throw("glimt: \"%s\" is %f, expected a number that is not negative.", name, x);
+        };
+        for (size_t i = 0; i < 3; ++i)
+            check(m_tint[i], "tint");
+        check(m_pixel_angle, "pixel_angle");
+    }
+
     /// A colour as the scene gives it, also in monochromatic variants: the core needs all three channels.
     static ScalarColor3f color(const Properties &props, const char *name) {
         switch (props.type(name)) {
@@ -370,6 +443,8 @@ private:
         put_back(m_eta, m_accepted.eta);
         put_back(m_alpha, m_accepted.alpha);
         put_back(m_latent, m_accepted.latent);
+        put_back(m_tint, m_accepted.tint);
+        put_back(m_pixel_angle, m_accepted.pixel_angle);
     }
 
     template <typename Value> static void put_back(Value &value, const Value &accepted) {
@@ -401,7 +476,7 @@ private:
 
     /// Makes everything that depends on the material agree with it.
     void bind() {
-        m_has_lobes = m_material->has_lobes();
+        m_has_lobes = m_material->has_lobes() && !m_is_surface;
         if constexpr (dr::is_jit_v<Float>) {
             // Scalar variants sample in the core, where lobes are not chosen before they are needed.
             if (m_has_lobes)
@@ -410,14 +485,16 @@ private:
         auto room = m_material->room();
         m_room = dr::load<FloatStorage>(room.data(), room.size());
         // Values that are not literals, so that a change of them compiles no new kernel.
-        dr::make_opaque(m_kd, m_eta, m_alpha, m_latent, m_room);
-        m_accepted = { m_kd, m_eta, m_alpha, m_latent };
+        dr::make_opaque(m_kd, m_eta, m_alpha, m_latent, m_room, m_tint, m_pixel_angle);
+        m_accepted = { m_kd, m_eta, m_alpha, m_latent, m_tint, m_pixel_angle };
 
         m_components.assign(1, BSDFFlags::GlossyReflection | BSDFFlags::FrontSide);
         if (!m_material->is_isotropic())
             m_components[0] |= +BSDFFlags::Anisotropic;
         if (!m_material->is_reciprocal())
             m_components[0] |= +BSDFFlags::NonSymmetric;
+        if (m_is_surface)
+            m_components[0] |= BSDFFlags::SpatiallyVarying | BSDFFlags::NeedsDifferentials;
         m_flags = m_components[0];
 
         if constexpr (HasKernelCall) {
@@ -434,7 +511,7 @@ private:
             return;
         const char *what = m_model.exists() ? "has a sampler" : "is of a model";
         if constexpr (HasKernelCall) {
-            if (!m_call_works || (!m_has_lobes && !sampler_call_works()))
+            if (!m_call_works || !(m_is_surface ? surface_call_works() : m_has_lobes || sampler_call_works()))
                 Throw("glimt: \"%s\" of \"%s\" %s that is computed by a call from inside the compiled kernel, "
                       "which is not available here (packets of %u lanes). Use a scalar variant.",
                       m_name, m_file, what, jit_llvm_vector_width());
@@ -459,6 +536,12 @@ private:
     bool sampler_call_works() const {
         static std::atomic<State> state { Unknown };
         return remembered(state, [&] { return m_sampler_call.works(m_call.address(), *m_material); });
+    }
+
+    /// The same for surfaces.
+    bool surface_call_works() const {
+        static std::atomic<State> state { Unknown };
+        return remembered(state, [&] { return m_surface_call.works(m_call.address(), *m_material); });
     }
 
     enum State { Unknown, Works, Fails };
@@ -487,6 +570,10 @@ private:
         if (!ctx.is_enabled(BSDFFlags::GlossyReflection) || dr::none_or<false>(active))
             return { 0.f, 0.f };
 
+        if (m_is_surface) {
+            auto [f, density] = eval_pdf_surface(ctx, si, wo, active);
+            return { to_spectrum(f * cos_theta_o, si, active), density };
+        }
         Spectrum value(0.f);
         Float density(0.f);
         if constexpr (Eval) {
@@ -538,6 +625,80 @@ private:
         }
     }
 
+    // ----- Surfaces -----
+
+    using Value = dr::detached_t<Float>;
+    using Place = glimt::TexturePlace<Value>;
+    /// A direction without derivatives.
+    using Direction = mitsuba::Vector<Value, 3>;
+
+    /// Where a surface is asked. How much of it a pixel sees is known only where light is traced from the pixel.
+    Place place(const BSDFContext &ctx, const SurfaceInteraction3f &si) const {
+        Place place = m_texturing.place(si, m_pixel_angle);
+        return ctx.mode == TransportMode::Radiance ? place : place.point();
+    }
+
+    /// f_r, linear RGB, and the density with which \c wo is sampled for \c si.wi.
+    std::pair<Color3f, Float> eval_pdf_surface(const BSDFContext &ctx, const SurfaceInteraction3f &si,
+                                               const Vector3f &wo, const Mask &active) const {
+        if (dr::grad_enabled(si.wi, si.uv, wo))
+            warn_of_detached_values();
+        auto frame = m_texturing.frame(si);
+        Place there = place(ctx, si);
+        Direction in = frame.to_texture(Direction(dr::detach<false>(si.wi))),
+                  out = frame.to_texture(Direction(dr::detach<false>(wo)));
+        auto [f, density] = ask_surface(there, out, in, active);
+        // Where importance is transported, light comes from wi, and wo is sampled all the same.
+        if (ctx.mode == TransportMode::Importance)
+            f = ask_surface(there, in, out, active).first;
+        return { f, density };
+    }
+
+    /// A sample of \c wo for \c si.wi.
+    std::pair<BSDFSample3f, Spectrum> sample_surface(const BSDFContext &ctx, const SurfaceInteraction3f &si,
+                                                     const Float &sample1, const Point2f &sample2,
+                                                     Mask active) const {
+        if (dr::grad_enabled(si.wi, si.uv))
+            warn_of_detached_values();
+        auto frame = m_texturing.frame(si);
+        Place there = place(ctx, si);
+        Direction in = frame.to_texture(Direction(dr::detach<false>(si.wi))), out;
+        Value pdf(0.f);
+        Color3f weight(0.f);
+        if constexpr (!dr::is_jit_v<Float>) {
+            auto s = m_material->sample_at(core_place(there), array(in), { sample1, sample2.x(), sample2.y() });
+            out = Direction(s.light[0], s.light[1], s.light[2]);
+            pdf = s.pdf;
+            weight = Color3f(s.weight[0], s.weight[1], s.weight[2]);
+        } else if constexpr (HasKernelCall) {
+            Direction u(dr::detach<false>(sample1), dr::detach<false>(sample2.x()), dr::detach<false>(sample2.y()));
+            std::tie(out, pdf, weight) =
+                m_surface_call.sample(m_call.address(), there, in, u, dr::detach<false>(active));
+        }
+        active &= pdf > 0.f;
+        // The core's weight is that of radiance, for which wi is the view.
+        if (ctx.mode == TransportMode::Importance)
+            weight = ask_surface(there, in, out, active).first *
+                     (Frame3f::cos_theta(out) / dr::select(active, pdf, 1.f));
+        return { reflected(frame.to_shading(out), pdf), to_spectrum(weight, si, active) };
+    }
+
+    /// f_r and the density of \c light, both in the frame of the texture.
+    std::pair<Color3f, Float> ask_surface(const Place &there, const Direction &light, const Direction &view,
+                                          const Mask &active) const {
+        DRJIT_MARK_USED(active);
+        if constexpr (!dr::is_jit_v<Float>) {
+            glimt::core::Place p = core_place(there);
+            auto f = m_material->eval_at(p, array(light), array(view));
+            return { Color3f(f[0], f[1], f[2]), m_material->pdf_at(p, array(light), array(view)) };
+        } else if constexpr (HasKernelCall) {
+            return m_surface_call.eval_pdf(m_call.address(), there, light, view, dr::detach<false>(active));
+        } else {
+            // Construction has refused it.
+            return { 0.f, 0.f };
+        }
+    }
+
     /// A sample of the one component that there is.
     static BSDFSample3f reflected(const Vector3f &wo, const Float &pdf) {
         BSDFSample3f bs = dr::zeros<BSDFSample3f>();
@@ -573,9 +734,9 @@ private:
         return { bs, to_spectrum(weight, si, valid) };
     }
 
-    /// Linear RGB as the variant's kind of colour, where \c active.
+    /// Linear RGB, tinted, as the variant's kind of colour, where \c active.
     Spectrum to_spectrum(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
-        return depolarizer<Spectrum>(spectrum(rgb, si, active)) & active;
+        return depolarizer<Spectrum>(spectrum(rgb * m_tint, si, active)) & active;
     }
 
     UnpolarizedSpectrum spectrum(const Color3f &rgb, const SurfaceInteraction3f &si, const Mask &active) const {
@@ -609,9 +770,9 @@ private:
     /// Once for every material: a derivative that is silently 0 costs its user an afternoon.
     void warn_of_detached_values() const {
         if (!m_warned.exchange(true))
-            Log(Warn, "Gradients are enabled for a direction or a parameter, but \"%s\" of \"%s\" is of a model "
-                      "(%s) that has no derivatives: its reflectance is taken for constant. Models with "
-                      "derivatives are %s.",
+            Log(Warn, "Gradients are enabled for a direction, a place or a parameter, but \"%s\" of \"%s\" is of a "
+                      "model (%s) that has no derivatives but that of \"tint\": its reflectance is taken for "
+                      "constant. Models with derivatives are %s.",
                 m_name, m_file, std::string(m_material->description()),
                 std::string(glimt::core::traced_models()));
     }
@@ -622,7 +783,9 @@ private:
     glimt::TracedLobes<Float> m_lobes;
     std::conditional_t<HasKernelCall, glimt::KernelCall<Float>, Nothing> m_call;
     std::conditional_t<HasKernelCall, glimt::SamplerCall<Float>, Nothing> m_sampler_call;
-    bool m_call_works = false, m_has_lobes = true;
+    std::conditional_t<HasKernelCall, glimt::SurfaceCall<Float>, Nothing> m_surface_call;
+    glimt::Texturing<Float> m_texturing;
+    bool m_call_works = false, m_has_lobes = true, m_is_surface = false;
     mutable std::atomic<bool> m_warned { false };
     std::conditional_t<is_spectral_v<Spectrum>, glimt::Primaries<Float>, Nothing> m_primaries;
 
@@ -632,15 +795,20 @@ private:
     FloatStorage m_latent;
     /// What an edit leaves of the network's correction, see rust/core/src/models/edit.rs.
     FloatStorage m_room;
+    Color3f m_tint;
+    Float m_pixel_angle;
 
     /// The parameters of \c m_material, to return to when an update is refused.
     struct {
         Color3f kd, eta;
         Vector2f alpha;
         FloatStorage latent;
+        Color3f tint;
+        Float pixel_angle;
     } m_accepted;
 
-    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_room, m_lobes, m_call, m_sampler_call, m_primaries)
+    MI_TRAVERSE_CB(Base, m_kd, m_eta, m_alpha, m_latent, m_room, m_tint, m_pixel_angle, m_lobes, m_call,
+                   m_sampler_call, m_surface_call, m_primaries)
 };
 
 MI_EXPORT_PLUGIN(Glimt)

@@ -417,6 +417,18 @@ macro_rules! with_brdf {
     };
 }
 
+impl At<'_> {
+    /// The light of [`SampleBrdf::sample`] and its density, without f there; `None` for a failed sample.
+    #[must_use]
+    pub fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
+        match self {
+            At::Everywhere(material) => material.sampler().sample_direction(view, u),
+            At::Place(Local::Facet(facet)) => facet.sample_direction(view, u),
+            At::Place(Local::Gated(point)) => point.sample_direction(view, u),
+        }
+    }
+}
+
 impl Brdf for At<'_> {
     fn eval(&self, light: Vec3, view: Vec3) -> Vec3 {
         with_brdf!(self, brdf => brdf.eval(light, view))

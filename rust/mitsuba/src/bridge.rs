@@ -7,10 +7,12 @@ use glimt_core::models::hybrid;
 use glimt_core::models::nbrdf::Nbrdf;
 use glimt_core::models::neural::Neural;
 use glimt_core::sampling::Plan;
+use glimt_core::surface;
 use glimt_core::{AnyModel, Brdf, Kind, Model, Sample, SampleBrdf, Vec3, microfacet};
 
 use crate::material::{Material, guarded, guarded_result, mixed, open};
 use crate::packet::eval_packet_address;
+use crate::place_packet::{eval_at_packet_address, sample_at_packet_address};
 use crate::sampler_packet::{pdf_packet_address, sample_packet_address};
 
 #[cxx::bridge(namespace = "glimt::core")]
@@ -67,6 +69,14 @@ mod ffi {
         light: [f32; 3],
         pdf: f32,
         weight: [f32; 3],
+    }
+
+    /// A place on a surface, and the two axes that a round Gaussian around it becomes, in uv.
+    #[derive(Clone, Copy)]
+    struct Place {
+        uv: [f32; 2],
+        along: [f32; 2],
+        across: [f32; 2],
     }
 
     /// One affine layer: weights as [outputs][inputs], and biases.
@@ -145,13 +155,20 @@ mod ffi {
         fn sampler(&self) -> &str;
         fn is_isotropic(&self) -> bool;
         fn is_reciprocal(&self) -> bool;
+        /// Whether it is another at every place, for which the functions with a place ask.
+        fn is_surface(&self) -> bool;
 
         fn eval(&self, light: &[f32; 3], view: &[f32; 3]) -> [f32; 3];
         fn pdf(&self, light: &[f32; 3], view: &[f32; 3]) -> f32;
         fn sample(&self, view: &[f32; 3], u: &[f32; 3]) -> Sample;
+        fn eval_at(&self, place: &Place, light: &[f32; 3], view: &[f32; 3]) -> [f32; 3];
+        fn pdf_at(&self, place: &Place, light: &[f32; 3], view: &[f32; 3]) -> f32;
+        fn sample_at(&self, place: &Place, view: &[f32; 3], u: &[f32; 3]) -> Sample;
         fn eval_packet_address(width: usize) -> usize;
         fn pdf_packet_address(width: usize) -> usize;
         fn sample_packet_address(width: usize) -> usize;
+        fn eval_at_packet_address(width: usize) -> usize;
+        fn sample_at_packet_address(width: usize) -> usize;
     }
 }
 
@@ -183,7 +200,7 @@ impl Material {
             if !latent.is_empty() && latent != material.latent() {
                 material = material.with_latent(latent.to_vec())?;
             }
-            Ok(Box::new(Material { name: self.name.clone(), material, library: self.library.clone() }))
+            Ok(Box::new(Material::new(self.name.clone(), material, self.library.clone())))
         })
     }
 
@@ -307,8 +324,38 @@ impl Material {
 
     fn sample(&self, view: &[f32; 3], u: &[f32; 3]) -> ffi::Sample {
         let sample = || self.material.sample(Vec3::from_array(*view), Vec3::from_array(*u));
-        let Sample { light, pdf, weight } = guarded(Sample::FAILED, sample);
+        guarded(Sample::FAILED, sample).into()
+    }
+
+    fn is_surface(&self) -> bool {
+        self.material.is_surface()
+    }
+
+    fn eval_at(&self, place: &ffi::Place, light: &[f32; 3], view: &[f32; 3]) -> [f32; 3] {
+        let f = || self.material.at(&place.into()).eval(Vec3::from_array(*light), Vec3::from_array(*view));
+        guarded(Vec3::ZERO, f).to_array()
+    }
+
+    fn pdf_at(&self, place: &ffi::Place, light: &[f32; 3], view: &[f32; 3]) -> f32 {
+        let pdf = || self.material.at(&place.into()).pdf(Vec3::from_array(*light), Vec3::from_array(*view));
+        guarded(0.0, pdf)
+    }
+
+    fn sample_at(&self, place: &ffi::Place, view: &[f32; 3], u: &[f32; 3]) -> ffi::Sample {
+        let sample = || self.material.at(&place.into()).sample(Vec3::from_array(*view), Vec3::from_array(*u));
+        guarded(Sample::FAILED, sample).into()
+    }
+}
+
+impl From<Sample> for ffi::Sample {
+    fn from(Sample { light, pdf, weight }: Sample) -> Self {
         ffi::Sample { light: light.to_array(), pdf, weight: weight.to_array() }
+    }
+}
+
+impl From<&ffi::Place> for surface::Place {
+    fn from(&ffi::Place { uv, along, across }: &ffi::Place) -> Self {
+        surface::Place { uv, footprint: surface::Footprint::Axes([along, across]) }
     }
 }
 

@@ -7,5 +7,6 @@
 mod bridge;
 mod material;
 mod packet;
+mod place_packet;
 mod ray_hit;
 mod sampler_packet;

@@ -2,6 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::time::SystemTime;
 
@@ -17,6 +18,15 @@ pub struct Material {
     pub material: glimt_core::Material,
     /// Kept so that the next BSDF of the scene finds it open.
     pub library: Arc<Library>,
+    /// A number that no other has, not even one that takes its memory later.
+    pub number: u64,
+}
+
+impl Material {
+    pub fn new(name: String, material: glimt_core::Material, library: Arc<Library>) -> Material {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        Material { name, material, library, number: NEXT.fetch_add(1, Ordering::Relaxed) }
+    }
 }
 
 /// What `f` returns, or `fallback` where it panics: a panic that reached C++ would end the process.
@@ -37,7 +47,7 @@ pub fn open(path: &str, name: &str, sampler: &str) -> Result<Box<Material>, Stri
         let name = (!name.is_empty()).then_some(name);
         let Entry { name, material, .. } = library.entry(name).map_err(|e| e.to_string())?;
         let (name, material) = (name.clone(), with_sampler(material, sampler)?);
-        Ok(Box::new(Material { name, material, library }))
+        Ok(Box::new(Material::new(name, material, library)))
     })
 }
 
@@ -46,7 +56,7 @@ pub fn mixed(path: &str, a: &str, b: &str, weight: f32, sampler: &str) -> Result
         let library = shared_library(path)?;
         let mix = library.mix(a, b, weight).map_err(|e| e.to_string())?;
         let (name, material) = (mix_name(a, b, weight), with_sampler(&mix, sampler)?);
-        Ok(Box::new(Material { name, material, library }))
+        Ok(Box::new(Material::new(name, material, library)))
     })
 }
 

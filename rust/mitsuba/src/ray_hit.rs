@@ -7,6 +7,8 @@
 
 use std::ffi::c_void;
 
+use glimt_core::Vec3;
+
 use crate::material::Material;
 
 /// Embree's `RTCRayHitN`. What is an integer there and holds an answer is the bits of a float.
@@ -39,6 +41,24 @@ impl<const N: usize> RayHit<N> {
         let address = u64::from(self.flags[lane]) << 32 | u64::from(self.id[lane]);
         // SAFETY: the caller's promise.
         unsafe { &*(address as usize as *const Material) }
+    }
+
+    /// The ray's origin in a lane.
+    pub fn origin_of(&self, lane: usize) -> Vec3 {
+        Vec3::from_array([0, 1, 2].map(|c| self.origin[c][lane]))
+    }
+
+    /// The ray's direction in a lane.
+    pub fn direction_of(&self, lane: usize) -> Vec3 {
+        Vec3::from_array([0, 1, 2].map(|c| self.direction[c][lane]))
+    }
+
+    /// Answers a vector in u, v and the primitive, and a number in the geometry.
+    pub fn answer(&mut self, lane: usize, vector: Vec3, number: f32) {
+        for (hit, component) in self.hit.iter_mut().zip(vector.to_array()) {
+            hit[lane] = component;
+        }
+        self.geometry[lane] = number;
     }
 }
 

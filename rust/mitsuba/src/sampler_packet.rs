@@ -8,7 +8,7 @@
 
 use std::ffi::c_void;
 
-use glimt_core::{Sample, SampleBrdf, Vec3};
+use glimt_core::{Sample, SampleBrdf};
 
 use crate::material::guarded;
 use crate::ray_hit::{RayHit, address_of_width};
@@ -41,7 +41,7 @@ unsafe extern "C" fn pdf_packet<const N: usize>(
     for lane in (0..N).filter(|&lane| valid[lane] != 0) {
         // SAFETY: the lane is active.
         let material = unsafe { packet.material(lane) };
-        let pdf = || material.material.pdf(lane_of(&packet.origin, lane), lane_of(&packet.direction, lane));
+        let pdf = || material.material.pdf(packet.origin_of(lane), packet.direction_of(lane));
         packet.hit[0][lane] = guarded(0.0, pdf);
     }
 }
@@ -59,19 +59,10 @@ unsafe extern "C" fn sample_packet<const N: usize>(
         // SAFETY: the lane is active.
         let material = unsafe { packet.material(lane) };
         let direction = || {
-            material
-                .material
-                .sampler()
-                .sample_direction(lane_of(&packet.direction, lane), lane_of(&packet.origin, lane))
+            let (view, u) = (packet.direction_of(lane), packet.origin_of(lane));
+            material.material.sampler().sample_direction(view, u)
         };
         let (light, pdf) = guarded(None, direction).unwrap_or((Sample::FAILED.light, 0.0));
-        for (answer, component) in packet.hit.iter_mut().zip(light.to_array()) {
-            answer[lane] = component;
-        }
-        packet.geometry[lane] = pdf;
+        packet.answer(lane, light, pdf);
     }
-}
-
-fn lane_of<const N: usize>(values: &[[f32; N]; 3], lane: usize) -> Vec3 {
-    Vec3::new(values[0][lane], values[1][lane], values[2][lane])
 }

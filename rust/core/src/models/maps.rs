@@ -560,10 +560,8 @@ impl SampleBrdf for Facet {
         if !is_lit(light, view) {
             return 0.0;
         }
-        let [l, v] = [self.within(light), self.within(view)];
-        let share = self.specular_share(v);
-        let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
-        share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
+        let v = self.within(view);
+        self.density(light, v, self.specular_share(v))
     }
 
     fn sample(&self, view: Vec3, u: Vec3) -> Sample {
@@ -572,23 +570,36 @@ impl SampleBrdf for Facet {
 }
 
 impl Facet {
-    /// A light for a BRDF that is much like this one, with the density of [`Facet::pdf`](SampleBrdf::pdf).
-    pub(crate) fn draw(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
+    /// The density of a light for a view within the facet, of which the GGX lobe has a share.
+    fn density(&self, light: Vec3, v: Vec3, share: f32) -> f32 {
+        let l = self.within(light);
+        let specular = if is_lit(l, v) { visible_normal_pdf(self.alpha(), l, v) } else { 0.0 };
+        share * specular + (1.0 - share) * light.z * std::f32::consts::FRAC_1_PI
+    }
+
+    /// A light, with the density of [`Facet::pdf`](SampleBrdf::pdf).
+    pub(crate) fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
         if !is_lit(view, view) || !u.is_finite() {
-            return Sample::FAILED;
+            return None;
         }
         let v = self.within(view);
-        let light = if u.x < self.specular_share(v) {
+        let share = self.specular_share(v);
+        let light = if u.x < share {
             let light = sample_visible_normal(self.alpha(), v, u.y, u.z);
             // What a facet reflects below itself may be above the surface, where the lobe's density is 0.
             if !is_lit(light, v) {
-                return Sample::FAILED;
+                return None;
             }
             self.outside(light)
         } else {
             sample_cosine(u.y, u.z)
         };
-        let pdf = self.pdf(light, view);
+        is_lit(light, view).then(|| (light, self.density(light, v, share)))
+    }
+
+    /// A light for a BRDF that is much like this one, with the density of [`Facet::pdf`](SampleBrdf::pdf).
+    pub(crate) fn draw(&self, brdf: &impl Brdf, view: Vec3, u: Vec3) -> Sample {
+        let Some((light, pdf)) = self.sample_direction(view, u) else { return Sample::FAILED };
         let weight = brdf.eval(light, view) * (light.z / pdf);
         if pdf > 0.0 && weight.is_finite() { Sample { light, pdf, weight } } else { Sample::FAILED }
     }

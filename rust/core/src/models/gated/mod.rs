@@ -331,6 +331,13 @@ impl Kernel for Point<'_> {
     }
 }
 
+impl Point<'_> {
+    /// A light, with the density of [`Point::pdf`](SampleBrdf::pdf).
+    pub(crate) fn sample_direction(&self, view: Vec3, u: Vec3) -> Option<(Vec3, f32)> {
+        self.facet.sample_direction(view, u)
+    }
+}
+
 impl SampleBrdf for Point<'_> {
     fn pdf(&self, light: Vec3, view: Vec3) -> f32 {
         self.facet.pdf(light, view)
