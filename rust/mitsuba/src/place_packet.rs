@@ -219,10 +219,11 @@ fn footprint(first: u32, second: u32) -> Footprint {
 
 #[cfg(test)]
 mod tests {
+    use glimt_check::extremes;
     use glimt_core::library::{Entry, Origin};
     use glimt_core::models::maps::{Filter, Maps, Texel};
     use glimt_core::surface::Wrap;
-    use glimt_core::{Library, Material as AnyMaterial};
+    use glimt_core::{Kind, Library, Material as AnyMaterial};
 
     use super::*;
     use crate::material::open;
@@ -249,7 +250,7 @@ mod tests {
     }
 
     /// Two surfaces and a material that is the same everywhere, of one file each.
-    fn materials() -> Vec<Box<Material>> {
+    fn materials() -> [Box<Material>; 3] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("maps.safetensors");
         let entries = ["a", "b"].map(|name| Entry {
@@ -261,7 +262,6 @@ mod tests {
         let homogeneous = concat!(env!("CARGO_MANIFEST_DIR"), "/../../scenes/models/rgl.safetensors");
         [(path.to_str().unwrap(), "a"), (path.to_str().unwrap(), "b"), (homogeneous, "chm_orange")]
             .map(|(path, name)| open(path, name, "").unwrap())
-            .into()
     }
 
     /// The 64 bits of a lower triangular matrix, as the plugin makes them.
@@ -344,6 +344,20 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn surfaces_of_every_model_are_asked_at_their_places() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut kinds = std::collections::BTreeSet::new();
+        for (path, case) in extremes::save_files(folder.path()).unwrap() {
+            let material = open(path.to_str().unwrap(), "", case.sampler).unwrap();
+            if material.material.is_surface() {
+                kinds.insert(material.material.kind());
+                check::<8>(&[material]);
+            }
+        }
+        assert!(kinds.contains(&Kind::Maps) && kinds.contains(&Kind::Gated));
     }
 
     #[test]
