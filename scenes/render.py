@@ -50,6 +50,7 @@ def main():
     samples = {"spp": spp} if spp else {}
     print(f"glimt {glimt.__version__}, Mitsuba {mi.__version__}")
     render("gallery", **samples)
+    render("surface", **samples)
     if arguments.measurement:
         measurement = Path(arguments.measurement).resolve()
         material = measurement.stem.removesuffix("_rgb")

@@ -25,6 +25,18 @@ def test_gallery_renders(variant):
     assert np.std(image[..., 0] - image[..., 2]) > 0.02
 
 
+@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_rgb"])
+@pytest.mark.parametrize("model", ["brushed", "weave"])
+def test_a_surface_reaches_to_the_horizon(variant, model):
+    mi.set_variant(variant)
+    size = {"width": 64, "height": 36, "spp": 4}
+    filename = str(SCENES / f"models/{model}.safetensors")
+    scene = mi.load_file(str(SCENES / "surface.xml"), filename=filename, **size)
+    image = np.array(mi.render(scene))[..., :3]
+    assert np.all(np.isfinite(image))
+    assert 0.02 < image[20:].mean() < 2
+
+
 @pytest.mark.skipif(not MEASUREMENT.exists(), reason=f"{MEASUREMENT} not found")
 def test_fit_looks_like_its_measurement(tmp_path):
     """The right half of the comparison, once with the measurement and once with the fit in its place."""

@@ -104,7 +104,8 @@ impl Layout {
         let uv = finite(place.uv);
         let ellipse = Ellipse::new(place.footprint, size);
         let taps = (ellipse.major / ellipse.minor.max(0.5)).ceil().clamp(1.0, MOST_TAPS);
-        let level = (2.0 * ellipse.minor.max(ellipse.major / (2.0 * taps))).log2().max(0.0);
+        // Places are two texels apart, over which texels are blended, or less: none between them is left out.
+        let level = (2.0 * ellipse.minor.max(ellipse.major / taps)).log2().max(0.0);
         if taps <= 1.0 {
             return point(uv, 1.0, level);
         }
