@@ -78,6 +78,8 @@ fn derivatives_are_finite_differences_through_fetch_frames_warps_gate_and_networ
     let Block { queries, f, analytic } = drawn(&maps, 0);
     // The part of the loss that divides by the model's own value is not differentiated by it.
     let loss = SquareLoss { floor: 1e6, absolute: 1.0 };
+    /// Of the loss of a block, in float32, over two steps.
+    const ROUNDING: f64 = 2e-3;
     for (base, angles) in [
         (Base::Maps, Angles::Matrices),
         (Base::Maps, Angles::Vectors),
@@ -90,7 +92,7 @@ fn derivatives_are_finite_differences_through_fetch_frames_warps_gate_and_networ
         // A start is nearly flat, and the derivatives by frames and warps are small beside rounding.
         let textures = shape.places().textures;
         for i in textures[0].start..textures[1].end {
-            numbers[i] += 0.6 * (1.7 * i as f32).sin();
+            numbers[i] += 0.3 * (1.7 * i as f32).sin();
         }
         let outputs = shape.network.layer(shape.network.layers() - 1).1;
         let end = numbers.len();
@@ -111,7 +113,7 @@ fn derivatives_are_finite_differences_through_fetch_frames_warps_gate_and_networ
             ("network", places.network),
         ];
         for (name, part) in parts {
-            // Along the gradient itself, where the difference is largest.
+            // Along the gradient itself, where the difference is largest. Between texels the model has kinks.
             let norm = gradient[part.clone()].iter().map(|g| f64::from(g * g)).sum::<f64>().sqrt();
             let step = 0.004;
             let moved = |sign: f64| {
@@ -125,7 +127,7 @@ fn derivatives_are_finite_differences_through_fetch_frames_warps_gate_and_networ
             let difference =
                 (value(&moved(1.0), &mut ignored) - value(&moved(-1.0), &mut ignored)) / (2.0 * step);
             assert!(
-                (difference - norm).abs() < 0.03 * norm,
+                (difference - norm).abs() < 0.06 * norm + ROUNDING,
                 "{base:?} {angles:?} {name}: {norm} against {difference}"
             );
         }
