@@ -17,12 +17,12 @@ fn options_of_other_models_are_refused_with_the_models_that_have_them() {
         // At its default, too.
         ("hybrid", &["--nodes", "64"][..], "spherical"),
         ("hybrid", &["--variant", "naive"], "factor"),
-        ("ggx", &["--net", "32x2"], "hybrid, neural and spherical"),
-        ("ggx", &["--steps", "100"], "hybrid, neural and spherical"),
-        ("ggx", &["--resume"], "hybrid, neural, factor and spherical"),
+        ("ggx", &["--net", "32x2"], "hybrid, neural, spherical and gated"),
+        ("ggx", &["--steps", "100"], "hybrid, neural, spherical and gated"),
+        ("ggx", &["--resume"], "hybrid, neural, factor, spherical and gated"),
         ("neural", &["--per-material"], "hybrid"),
         ("neural", &["--interpolation", "linear"], "factor and spherical"),
-        ("factor", &["--rate", "0.1"], "hybrid, neural and spherical"),
+        ("factor", &["--rate", "0.1"], "hybrid, neural, spherical and gated"),
         ("factor", &["--hold-out", "0"], "ggx, hybrid, neural and spherical"),
         ("factor", &["--anisotropic"], "ggx, hybrid, neural and spherical"),
         ("factor", &["--paper"], "ggx, hybrid and neural"),
@@ -56,7 +56,7 @@ fn help_lists_the_values_of_every_option_under_the_models_that_have_it() {
     };
     for (heading, option, values) in [
         ("ggx, hybrid and neural", "--paper", &[][..]),
-        ("hybrid, neural and spherical", "--net", &["32x2"]),
+        ("hybrid, neural, spherical and gated", "--net", &["32x2"]),
         ("hybrid and neural", "--latent", &[]),
         ("hybrid", "--inputs", &["cartesian", "half-difference", "reciprocal"]),
         ("hybrid", "--composition", &["gated-residual", "additive", "log-multiplicative"]),
@@ -70,6 +70,8 @@ fn help_lists_the_values_of_every_option_under_the_models_that_have_it() {
         ("spherical", "--pixelation", &["healpix", "lat-long", "fibonacci"]),
         ("spherical", "--features", &["4", "8", "16"]),
         ("spherical", "--table-type", &["f32", "f16", "i8", "i4"]),
+        ("gated", "--on", &["maps", "none"]),
+        ("gated", "--precision", &["f32", "f16", "u8"]),
     ] {
         let section = section(heading);
         assert!(section.contains(option), "{option} under {heading}");
