@@ -97,6 +97,10 @@ typedef enum glimt_kind {
    * Texture maps: a surface that is another at every place.
    */
   GLIMT_KIND_MAPS = 8,
+  /**
+   * A surface whose reflectance at every scale is learned, as Timonen et al.
+   */
+  GLIMT_KIND_GATED = 9,
 } glimt_kind;
 
 /**
@@ -254,8 +258,8 @@ const char *glimt_library_name(const struct glimt_library *library, size_t index
 
 /**
  * The model of the library's materials as files and commands spell it: "ggx", "hybrid", "neural",
- * "nbrdf", "factor", "analytic", "spherical" or "maps", and "tabulated" for a measurement; valid until the library
- * is closed. NULL for NULL.
+ * "nbrdf", "factor", "analytic", "spherical", "maps" or "gated", and "tabulated" for a measurement; valid until
+ * the library is closed. NULL for NULL.
  */
 const char *glimt_library_kind(const struct glimt_library *library);
 

@@ -63,6 +63,14 @@ enum BaseName {
 const DEFAULT_STEPS: u64 = 6_000;
 
 impl GatedArguments {
+    /// The checkpoint to go on from, if that is asked for.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn checkpoint(&self, path: &Path) -> Result<Option<CheckpointOf<SurfaceOptions>>> {
+        Ok(self.resume.resume.then(|| CheckpointOf::open(path)).transpose()?)
+    }
+
     fn options(&self, size: [usize; 2], seed: u64) -> SurfaceOptions {
         let steps = self.training.steps.unwrap_or(DEFAULT_STEPS);
         let mut options = SurfaceOptions::standard(size, steps, seed);
@@ -158,15 +166,20 @@ impl SurfaceMaps {
         Ok(())
     }
 
-    /// Fits to them.
+    /// Fits to them; goes on from a checkpoint if there is one.
     ///
     /// # Errors
     /// Options that make no sense, a checkpoint of another fit, an interrupt.
-    pub fn fit(&self, gated: &GatedArguments, seed: u64, keeper: &mut Keeper) -> Result<Entry> {
+    pub fn fit(
+        &self,
+        gated: &GatedArguments,
+        seed: u64,
+        resume: Option<CheckpointOf<SurfaceOptions>>,
+        keeper: &mut Keeper,
+    ) -> Result<Entry> {
         let (maps, name, origin) = self.maps()?;
         let options = gated.options(maps.size(), seed);
         let surface = Surface { name, maps, field: maps, origin };
-        let resume = gated.resume.resume.then(|| CheckpointOf::open(keeper.path())).transpose()?;
         descend(&surface, &options, resume, keeper)
     }
 

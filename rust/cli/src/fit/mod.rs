@@ -244,10 +244,11 @@ fn fit_surface(
         return skip(common, &library);
     }
     maps.check(gated, common.seed)?;
+    let resume = gated.checkpoint(keeper.path())?;
     if !common.json.is_printed() {
         output::print(&maps.findings)?;
     }
-    let entry = maps.fit(gated, common.seed, &mut keeper)?;
+    let entry = maps.fit(gated, common.seed, resume, &mut keeper)?;
     Library::new(&common.output, vec![entry.clone()])?.save()?;
     let (entry, table) = maps.measure(entry)?;
     let library = common.save(vec![entry], Some(&recipe))?;
