@@ -43,11 +43,29 @@ LIBRARIES = {
     "analytic_ward": {"kind": "analytic", "form": {"lobe": "ward"}},
     "analytic_gamma": {"kind": "analytic", "form": {"lobe": "shifted-gamma"}},
     "maps": {"kind": "maps", "form": {"wrap": "repeat", "filter": "moments"}},
+    "gated": {"kind": "gated"},
 }
 
 # Those that Dr.Jit can differentiate; the others are calls into the core.
-UNTRACED = ("spherical", "factor", "analytic", "maps")
+UNTRACED = ("spherical", "factor", "analytic", "maps", "gated")
 TRACED = [name for name, library in LIBRARIES.items() if library["kind"] not in UNTRACED]
+
+# Libraries whose materials are another at every place.
+SURFACES = ("maps", "gated")
+
+# Codes of three levels, and two small disks of matrices.
+GATED_FORM = {
+    "wrap": "repeat",
+    "filter": "moments",
+    "precision": "f32",
+    "base": "maps",
+    "angles": "matrices",
+    "latents": [4, 3],
+    "half": {"rings": 4, "sectors": 6},
+    "difference": {"rings": 4, "sectors": 6},
+    "frames": True,
+    "warps": True,
+}
 
 # Two small hemispheres of features, of lights and of views.
 SPHERICAL_FORM = {
@@ -144,6 +162,27 @@ def maps_tensors(rng, width=7, height=5):
     return {"maps": np.concatenate([map_of(kd), map_of(f0), map_of(alpha), slopes], axis=-1)}
 
 
+def gated_tensors(rng):
+    """Codes, matrices and a network that change the maps of the three materials a little."""
+    count, texels, columns = len(MICROFACET), 4 * 3 + 2 * 2 + 1, 1 + 3 * 6
+    upright, warps = [0, 0, 1, 1, 0, 0], [0, -1.3, 0.1] * 2
+    network = network_tensors(rng, [16, 16, 16, 6], [-3.0, -3.5, -4.0, 1.5, 1.5, 1.5], leading=(count,))
+    return (
+        maps_tensors(rng)
+        | network
+        | {
+            "latents": rng.normal(0.35, 0.15, (count, texels, 8)),
+            "half": rng.normal(0, 0.5, (count, columns, 8, 8)),
+            "difference": rng.normal(0, 0.5, (count, columns, 8, 8)),
+            "frames.weight": rng.normal(0, 0.1, (count, 6, 8)),
+            "frames.bias": np.tile(upright, (count, 1)),
+            "warps.weight": rng.normal(0, 0.1, (count, 6, 8)),
+            "warps.bias": np.tile(warps, (count, 1)),
+            "bound": np.full(count, -1.0),
+        }
+    )
+
+
 def write_library(
     path,
     kind,
@@ -191,6 +230,8 @@ def write_library(
         tensors = analytic_tensors(form["lobe"])
     if kind == "maps":
         tensors = maps_tensors(rng)
+    if kind == "gated":
+        form, tensors = GATED_FORM, gated_tensors(rng)
     header = {
         "format": 1,
         "kind": kind,

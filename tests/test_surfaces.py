@@ -7,6 +7,7 @@ import pytest
 from model_libraries import (
     LIBRARIES,
     SEED,
+    SURFACES,
     hemisphere,
     maps_tensors,
     save_safetensors,
@@ -45,11 +46,11 @@ def round_axes(sigma):
 
 
 @pytest.mark.parametrize("name", LIBRARIES)
-def test_only_maps_are_a_surface_and_others_ignore_the_place(name, tmp_path):
+def test_surfaces_are_told_and_others_ignore_the_place(name, tmp_path):
     library = glimt.load(write_library(tmp_path / "library.safetensors", **LIBRARIES[name]))
     material = library[library.materials[1]]
-    assert material.is_surface == (name == "maps")
-    assert (answers(material) == answers(material, uv=None)) == (name != "maps")
+    assert material.is_surface == (name in SURFACES)
+    assert (answers(material) == answers(material, uv=None)) == (name not in SURFACES)
     # The result has a row for every place, whatever the material.
     assert material.eval(*PAIR, uv=UV).shape == (N, 3)
     assert material.pdf(*PAIR, uv=UV[:1]).shape == (1,)
