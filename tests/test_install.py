@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 # A tenth above what was measured; a symbol table is more.
-LARGEST_COMMAND, LARGEST_MODULE = 9.74e6, 4.6e6
+LARGEST_COMMAND, LARGEST_MODULE = 12.1e6, 5.33e6
 
 
 def sections(file):

@@ -354,8 +354,9 @@ proptest! {
     fn a_normal_of_8_bits_is_that_of_the_surface_within_a_step(tilt in 0.0_f64..1.2, turn in 0.0_f64..6.2) {
         let n = [tilt.sin() * turn.cos(), tilt.sin() * turn.sin(), tilt.cos()];
         let texel = n.map(|v| (255.0 * (0.5 + 0.5 * v)).round() as u8);
-        // A grey map is one of heights.
-        prop_assume!(texel != [texel[0]; 3]);
+        // A map that is nearly grey is one of heights.
+        let spread = texel.iter().max().unwrap() - texel.iter().min().unwrap();
+        prop_assume!(spread > 10);
         let maps = maps(&[("a_Color.png", flat([1, 1], [9; 3])), ("a_NormalGL.png", flat([1, 1], texel))]);
         let cos: f64 = maps.normal[0].iter().zip(n).map(|(a, b)| f64::from(*a) * b).sum();
         prop_assert!(cos > 1.0 - 3.0 / 255.0_f64.powi(2), "{:?} for {n:?}", maps.normal[0]);
